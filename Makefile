@@ -27,7 +27,7 @@ help:
 	@echo "make reproduction compare the paper's results with ours; writes docs/reproduction.md (2 min)"
 	@echo "make faults      insert faults into copies, one a core; list those that no test detects"
 	@echo "                 (1 h of one core; JOBS=N for N at once)"
-	@echo "make picture     remake the pictures in README.md and docs/"
+	@echo "make picture     remake the pictures in README.md and docs/; needs chromium and a Vulkan driver"
 	@echo "make format      format the Python files as lint requires"
 	@echo "make lock        pin the packages again after pyproject.toml has changed"
 	@echo "make clean       remove .venv and everything built; keeps runs/"
@@ -99,6 +99,16 @@ picture: develop
 	$(BIN)/python -m tools.diagrams docs
 	$(BIN)/python -m tools.reference docs --pictures
 	cp build/picture/tilt_p10.png docs/tilt_p10.png
+	$(BIN)/capture-sim sweep tilt_0 --vary approach.angle='-30 deg:30 deg:21' \
+		--vary approach.offset='-50 mm:50 mm:21' --vary approach.speed=0.05,0.2 --out build/picture/map.csv
+	cp build/picture/map_map.png docs/sweep_map.png
+	$(BIN)/capture-sim sweep paper_designed --vary buffer.k_A='uniform(80%, 120%)' \
+		--vary buffer.c_A='uniform(80%, 120%)' --vary chaser.mass='normal(100%, 2%)' \
+		--vary contact.restitution='uniform(0.3, 0.9)' --runs 512 --sample latin --out build/picture/matters.csv
+	cp build/picture/matters_tornado.png docs/sweep_tornado.png
+	$(BIN)/capture-sim report build/picture/tilt_0.mcap build/picture/tilt_p10.mcap build/picture/tilt_m10.mcap \
+		--out build/picture/report.html
+	$(BIN)/python -m tools.report_picture build/picture/report.html docs/report.png
 	$(BIN)/python tools/rerun_picture.py build/picture/runs.rrd docs/rerun.png --at 0.1
 
 lock: develop

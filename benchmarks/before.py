@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 
-from benchmarks.pages import ratio, table, write_parts
+from benchmarks.pages import own_domain, ratio, table, write_parts
 
 ROOT = Path(__file__).resolve().parent.parent
 CLI = ("-m", "capture_sim.cli")
@@ -65,7 +65,7 @@ def python(checkout: Path) -> str:
 
 
 def environment(checkout: Path) -> dict[str, str]:
-    domain = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 101)}
+    domain = {"ROS_DOMAIN_ID": own_domain()}
     # the wheels' libraries are looked up anew: those of this interpreter are not another's
     left_out = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
     kept = {name: value for name, value in os.environ.items() if name not in left_out}

@@ -79,7 +79,7 @@ def methods(_, __):
         "10 Hz; the delay is the servo's. `model` starts with half the stiffness; its rows show",
         "the second touch, the rows of the other methods the first. Energy: largest increase of",
         "the energy of vehicles, buffer and law over its lowest value before the contact;",
-        "energy_limit 1 J, force_limit 2000 N. The rig's e is that of the same vehicles, simulated",
+        "energy_limit 1 J, force_limit 2000 N. The rig's e is simulated with the same vehicles",
         "on its wall.",
         "",
         *parts,

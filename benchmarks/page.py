@@ -17,6 +17,7 @@ from benchmarks.reference import load_reference
 from benchmarks.trial import Trial
 
 FOLDER = "benchmark"  # of the pictures, next to the page
+TRIALS = "trials.csv"  # in this folder
 _COLUMNS = (
     *("t_end_s", "program", "setting", "position_error_m_or_rad", "peak_force_error_1"),
     *("event_time_error_s", "impulse_error_1", "touches", "evaluations", "least_s"),

@@ -17,9 +17,9 @@ from benchmarks.paper import CASES, DOCKING, Evidence, Scan
 from capture_sim.run import Run
 from capture_sim.viewing import figures, style
 from capture_sim.viewing.canvas import subplots
-from capture_sim.viewing.curves import STROKE, VELOCITIES, plotted_runs
-from capture_sim.viewing.drawing import draw_trajectory
-from capture_sim.viewing.source import resolved
+from capture_sim.viewing.curves import HOLDS, STROKE, VELOCITIES, plotted_runs
+from capture_sim.viewing.drawing import draw_end, draw_trajectory
+from capture_sim.viewing.source import resolved, verdict
 
 _COLUMNS = 3
 _ENGINE_POINTS = 30  # so that the line under them is seen
@@ -47,21 +47,29 @@ def _impact_force(evidence: Evidence) -> Figure:
 
 def _velocities(evidence: Evidence) -> Figure:
     engine = evidence.engine
-    figure = figures.velocities(engine.ours, labels=["capture_sim"], window=(0.0, 0.3))
+    figure = figures.velocities(engine.ours, window=(0.0, 0.3))
     quantities = itertools.chain.from_iterable(VELOCITIES)
     for axes, index, quantity in zip(figure.axes, _CHASER_AND_TARGET, quantities, strict=True):
         draw_points(axes, engine.t, engine.v[:, index] * quantity.factor, "Exudyn")
-    figures.legend_above(figure)
+    _name_ours(figure)
     return figure
 
 
 def _axial_performance(evidence: Evidence) -> Figure:
     engine = evidence.engine
-    figure = figures.over_time("axial_performance", engine.ours, labels=["capture_sim"])
+    figure = figures.over_time("axial_performance", engine.ours)
     stroke = engine.h - engine.ours.scene.rest_length
     draw_points(figure.axes[0], engine.t, stroke * STROKE.factor, "Exudyn")
-    figures.legend_above(figure)
+    _name_ours(figure)
     return figure
+
+
+def _name_ours(figure: Figure) -> None:
+    """Explain the curves of this simulation and the points of the other engine above them."""
+    for line in (line for axes in figure.axes for line in axes.get_lines()):
+        if line.get_label() in HOLDS:
+            line.set_label(f"capture_sim, {line.get_label()}")
+    figures.legend_above(figure)
 
 
 def draw_points(axes: Axes, t: np.ndarray, values: np.ndarray, label: str) -> None:
@@ -78,9 +86,12 @@ def draw_trajectories(runs: Iterable[Run]) -> Figure:
     figure, [row] = subplots(5.4 * len(shown), 6.2, 1, len(shown), grid=None, sharey=True)
     for axes, plotted in zip(row, shown, strict=True):
         draw_trajectory(axes, [plotted])
-        axes.set_title(plotted.label, fontsize=style.FONT, fontweight="bold")
-    for axes in row[1:]:
+        draw_end(axes, plotted)
+        title = f"{plotted.label}: {verdict(plotted.run)}"
+        axes.set_title(title, fontsize=style.FONT, fontweight="bold")
+    for axes in row[1:]:  # what is explained in the first
         axes.set_ylabel("")
+        axes.get_legend().remove()
     return figure
 
 

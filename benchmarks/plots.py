@@ -1,104 +1,152 @@
-"""The benchmark's plots: logarithmic axes with units, at most six lines, each with its name."""
+"""The benchmark's plots: logarithmic axes with units, each line with its name.
+
+``python -m benchmarks.plots docs/benchmark/trials.csv`` draws speed against error once more, from
+the trials of an earlier measurement.
+"""
 
 from __future__ import annotations
 
+import csv
 import math
-from collections.abc import Callable
+import sys
+from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
+from typing import NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.page import Results
-from benchmarks.programs import LEVELS, Contest, best, programs
-from benchmarks.trial import Trial
+from benchmarks.page import TRIALS, Results
+from benchmarks.programs import OURS
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import save, subplots
 
+#: By the first word of a program's name.
 _COLOURS = {
-    "own": style.BLUE,
+    OURS: style.BLUE,
     "textbook": style.GREEN,
-    "library": style.PURPLE,
-    "python": style.VERMILION,
-    "numpy": style.GREY,
+    "CVODE": style.PURPLE,
+    "SciPy": style.VERMILION,
 }
-_MARKERS = "osD^v<"
-_MOST_LINES = 6  # of an axes
+_MARKERS = "osD^v"
+_CHOSEN_AT = 1e-6  # m, position error at which the fastest program of a kind is chosen
+_LABEL_GAP = 0.06  # of an axes' height, between two names
 _FONT = 11.5  # of labels, points; numbers are smaller by 1.5
 
 
+class Point(NamedTuple):
+    """A setting of a program; an error is NaN if there is none."""
+
+    program: str
+    t_end: float  # s
+    seconds: float  # CPU time
+    position: float  # m or rad
+    event_time: float  # s
+
+
 def save_all(results: Results, folder: Path) -> None:
-    """Draw everything into a folder."""
-    figures = {
-        "work_precision": _work_precision(results),
-        "costs": _costs(results),
-    }
-    for name, figure in figures.items():
-        save(figure, folder / f"{name}.svg")
+    """Draw everything into a folder that has the trials."""
+    save_work_precision(folder / TRIALS, results.scene)
+    save(_costs(results), folder / "costs.svg")
 
 
-def _chosen(contest: Contest) -> list[list[Trial]]:
-    """Return the programs to draw: all of ours, and the others that are the fastest."""
-    by_program = list(programs(contest.trials).values())
-    own = [tried for tried in by_program if tried[0].group == "own"]
-
-    def least(tried: list[Trial]) -> float:
-        found = best(tried, LEVELS[0])
-        return math.inf if found is None else found.least
-
-    others = sorted((tried for tried in by_program if tried not in own), key=least)
-    return [*own, *others][:_MOST_LINES]
+def save_work_precision(trials: Path, scene: str) -> Path:
+    """Draw CPU time against error next to the trials, as ``page.write_trials`` writes them."""
+    with trials.open(encoding="utf-8") as file:
+        points = [
+            Point(row["program"], float(row["t_end_s"]), *map(_number, _errors_of(row)))
+            for row in csv.DictReader(file)
+        ]
+    return save(draw_work_precision(points, scene), trials.parent / "work_precision.svg")
 
 
-def _draw(axes: Axes, contest: Contest, error: Callable[[Trial], float]) -> None:
+def _errors_of(row: dict[str, str]) -> tuple[str, str, str]:
+    return row["least_s"], row["position_error_m_or_rad"], row["event_time_error_s"]
+
+
+def _number(text: str) -> float:
+    return float(text) if text else math.nan
+
+
+def draw_work_precision(points: Sequence[Point], scene: str) -> Figure:
+    """Draw a row for each end time: CPU time against errors of the position and of event times."""
+    ends = list(dict.fromkeys(point.t_end for point in points))
+    figure, rows = subplots(13.0, 5.2 * len(ends), len(ends), 2, font=_FONT)
+    for row, t_end in zip(rows, ends, strict=True):
+        curves = chosen([point for point in points if point.t_end == t_end])
+        for axes, (field, name) in zip(
+            row,
+            (("position", "position error, m or rad"), ("event_time", "error of event times, s")),
+            strict=True,
+        ):
+            _draw(axes, curves, field)
+            axes.set_xlabel("CPU time, s")
+            axes.set_ylabel(name)
+            axes.set_title(f"{scene} to {t_end:g} s")
+    return figure
+
+
+def chosen(points: Sequence[Point]) -> list[list[Point]]:
+    """Return the programs to draw: all of ours, and of each other kind the fastest."""
+    programs: dict[str, list[Point]] = {}
+    for point in points:
+        programs.setdefault(point.program, []).append(point)
+    kinds: dict[str, list[list[Point]]] = {}
+    for name, settings in programs.items():
+        kinds.setdefault(name.split()[0], []).append(settings)
+
+    def least(settings: list[Point]) -> float:
+        accurate = (p.seconds for p in settings if p.position <= _CHOSEN_AT and p.event_time > 0.0)
+        return min(accurate, default=math.inf)
+
+    others = [min(several, key=least) for kind, several in kinds.items() if kind != OURS]
+    return [*kinds.get(OURS, []), *others]
+
+
+def _draw(axes: Axes, curves: Sequence[Sequence[Point]], error: str) -> None:
     """Draw CPU time against an error; hollow marks have other touches than the reference."""
     axes.set(xscale="log", yscale="log")
-    axes.margins(0.15, 0.12)
-    for tried, marker in zip(_chosen(contest), _MARKERS, strict=False):
-        shown = [(t, t.least, error(t)) for t in tried if t.seconds and error(t) > 0.0]
-        if not shown:
+    axes.margins(0.1, 0.12)
+    ends = []
+    for settings, marker in zip(curves, _MARKERS, strict=False):
+        shown = [(p.seconds, getattr(p, error)) for p in settings if getattr(p, error) > 0.0]
+        counted = [(p.seconds, getattr(p, error)) for p in settings if p.event_time > 0.0]
+        if not counted:
             continue
-        trials, x, y = zip(*shown, strict=True)
-        own, colour = tried[0].group == "own", _COLOURS[tried[0].group]
-        axes.plot(x, y, color=colour, linewidth=1.8 if own else 1.2)
-        for trial, at, value in zip(trials, x, y, strict=True):
-            counts = not math.isnan(trial.errors.event_time)
-            face = colour if counts else "white"
-            axes.plot(at, value, marker, color=colour, markerfacecolor=face, markersize=4.5)
-        # of ours the names are at the exact end, of others at the loose one
-        at = (min if own else max)(zip(x, y, strict=True), key=lambda point: point[1])
+        name = settings[0].program
+        colour, width = _COLOURS[name.split()[0]], 1.8 if name.startswith(OURS) else 1.2
+        axes.plot(*zip(*shown, strict=True), marker, color=colour, mfc="white", ms=4.5)
+        axes.plot(*zip(*counted, strict=True), f"{marker}-", color=colour, lw=width, ms=4.5)
+        ends.append((*min(counted, key=itemgetter(1)), name, colour))
+    _name_ends(axes, ends)
+
+
+def _name_ends(axes: Axes, ends: Sequence[tuple[float, float, str, str]]) -> None:
+    """Write each curve's name to the right of its accurate end, none over another."""
+    left, right = axes.get_xlim()
+    axes.set(xlim=(left, right * (right / left) ** 0.2), ylim=axes.get_ylim())  # final
+    to_axes = axes.transData + axes.transAxes.inverted()
+    lowest = 0.0
+    for x, y, name, colour in sorted(ends, key=itemgetter(1)):
+        across, up = to_axes.transform((x, y))
+        lowest = max(lowest + _LABEL_GAP, up)
         axes.annotate(
-            tried[0].family,
-            at,
-            xytext=(0, -6 if own else 7),
-            textcoords="offset points",
-            ha="left" if own else "center",
-            va="top" if own else "bottom",
+            name,
+            (x, y),
+            (across + 0.03, lowest),
+            textcoords="axes fraction",
+            va="center",
             color=colour,
             fontsize=_FONT - 2.0,
+            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.6},
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5},
         )
 
 
-def _work_precision(results: Results) -> Figure:
-    count = len(results.contests)
-    figure, rows = subplots(13.0, 5.2 * count, count, 2, font=_FONT)
-    errors: list[tuple[str, Callable[[Trial], float]]] = [
-        ("position error, m or rad", lambda t: t.errors.position),
-        ("error of event times, s", lambda t: t.errors.event_time),
-    ]
-    for row, contest in zip(rows, results.contests, strict=True):
-        for axes, (name, error) in zip(row, errors, strict=True):
-            _draw(axes, contest, error)
-            axes.set_xlabel("CPU time, s")
-            axes.set_ylabel(name)
-            axes.set_title(f"{results.scene} to {contest.plan.t_end:g} s")
-    return figure
-
-
 def _costs(results: Results) -> Figure:
     figure, [[left, right]] = subplots(12.0, 4.5, 1, 2, font=_FONT)
-    marks = {"color": _COLOURS["own"], "marker": "o", "markersize": 4, "capsize": 3}
+    marks = {"color": _COLOURS[OURS], "marker": "o", "markersize": 4, "capsize": 3}
 
     def draw(axes: Axes, x: list[float], spreads: list[tuple[float, ...]]) -> None:
         median, low, high = ([1e3 * s for s in values] for values in zip(*spreads, strict=True))
@@ -126,3 +174,7 @@ def _costs(results: Results) -> Figure:
     right.set_ylabel("CPU time per run, ms")
     right.set_title(f"runs to {results.contests[0].plan.t_end:g} s, with setting up")
     return figure
+
+
+if __name__ == "__main__":
+    print(save_work_precision(Path(sys.argv[1]), "paper_designed"))

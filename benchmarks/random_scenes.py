@@ -69,7 +69,7 @@ def narrow(asked: Namespace, _: Path) -> list[str]:
         "",
         f"True error at {AFTER[-1]:g} s divided by the check's estimate: median "
         f"{np.median(known):.2f}, 99 % {np.quantile(known, 0.99):.2f}, maximum {max(known):.1f} "
-        f"({len(known)} scenes; those on supports below {FLOOR:g} m are left out).",
+        f"({len(known)} scenes; scenes on supports below {FLOOR:g} m are left out).",
         "",
         "The energy residual as an estimate, error = 3 R_t |residual| / E_0, is within a factor of "
         f"100 in {inside:.1%} of {len(ratios)} runs at rtol "

@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from argparse import Namespace
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,9 +27,22 @@ from capture_sim.recording.bag import read_bag
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.write import RunWriter
+from capture_sim.series import Series
 from capture_sim.studies.identify import RELEASE, identify, is_explained
+from capture_sim.touches import Touches
 from tests.nodes.bench_processes import processes
-from tests.noisy_bench import NAMES, later, noisy_run
+from tests.noisy_bench import (
+    CELL_RATE,
+    NAMES,
+    PEAK_NOISE,
+    START_NOISE,
+    NoisyRun,
+    cell_force,
+    counted,
+    later,
+    noisy_run,
+    tip_force,
+)
 
 EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")
 REPEATS = 5
@@ -192,6 +206,63 @@ def fit(*_: object) -> list[str]:
     ]
 
 
+#: Parameters of the runs whose touches are measured in several ways, as in NAMES.
+_TRUE = (0.001, 0.6, 0.33, 13.0)
+#: Bandwidths of load cells, and rates of messages that count touches, Hz.
+_BANDWIDTHS, _RATES = (8e3, 4e3), (1e3, 2e3)
+
+
+def _found_in(run: NoisyRun, quantity: str, force: Series) -> Touches | None:
+    """Return the touches that a recording with this force shows."""
+    series = {**run.run.series, quantity: {"a sensor": force}}
+    return run.run.replaced(given_scene=run.scene, series=series).resolved_touches[0]
+
+
+def restitution(asked: Namespace, _: Path) -> list[str]:
+    """Fit runs of one bench whose touches are measured in several ways: is e biased?"""
+    ways: dict[str, Callable[[NoisyRun, np.random.Generator], Touches | None]] = {
+        "located touches with noise": lambda run, _: run.touches,
+        f"force at {CELL_RATE / 1e3:.0f} kHz": lambda run, rng: _found_in(
+            run, "tip_force", tip_force(run, rng)
+        ),
+    }
+    for bandwidth in _BANDWIDTHS:
+        ways[f"the same through a filter of {bandwidth / 1e3:.0f} kHz"] = (
+            lambda run, rng, bandwidth=bandwidth: _found_in(
+                run, "cone_force", cell_force(run, rng, bandwidth)
+            )
+        )
+    for rate in _RATES:
+        ways[f"peaks and counts at {rate / 1e3:.0f} kHz"] = lambda run, rng, rate=rate: counted(
+            run, rng, rate
+        )
+    rows = []
+    for name, measure in ways.items():
+        off, values = [], []
+        for seed in range(asked.seeds):
+            run = noisy_run("tilt_0", seed, true=_TRUE)
+            found = measure(run, np.random.default_rng(1000 + seed))
+            assert found is not None
+            touches = found.of(slice(4)).with_noise(START_NOISE, PEAK_NOISE)
+            fit = identify(run.scene, run.run, NAMES, touches=touches, starts=1)
+            e = NAMES.index("e")
+            values.append(fit.values[e])
+            off.append((fit.values[e] - run.true[e]) / fit.errors[e])
+        row = [name, f"{np.mean(values):.4f}", f"{np.std(values, ddof=1):.4f}"]
+        rows.append([*row, f"{np.mean(off):+.2f}", f"{np.std(off, ddof=1):.2f}"])
+    head = ["touches from", f"mean e (true: {_TRUE[1]})", "standard deviation"]
+    head += ["mean deviation, standard errors", "its standard deviation"]
+    return [f"{asked.seeds} runs each.", "", table(head, rows)]
+
+
 if __name__ == "__main__":
     parts = {"write": write, "live": live, "replay": replay, "identify": fit}
-    write_parts("node_suite", __doc__, parts, seconds=(60.0, "of the live recording"))
+    parts["restitution"] = restitution
+    write_parts(
+        "node_suite",
+        __doc__,
+        parts,
+        untimed=("restitution",),
+        seconds=(60.0, "of the live recording"),
+        seeds=(48, "runs for each way to measure touches"),
+    )

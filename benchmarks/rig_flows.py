@@ -56,10 +56,9 @@ def measure_trials(options: Namespace, folder: Path) -> list[str]:
         poses = [f"/{topic}" for topic in ODOMETRY] if is_odometry else POSES
         with processes() as start, Client() as client:
             session = Session(start, client, folder / str(number), poses=poses, **remaps)
-            words = [word for pair in remaps.items() for word in ("-r", ":=".join(pair))]
             named = [word for pair in remaps.items() for word in ("--remap", ":=".join(pair))]
             listed = f"[{', '.join(OUTCOMES)}]"
-            with session.bench(*words, pace=options.pace, outcomes=listed, **bench):
+            with session.bench(remaps, pace=options.pace, outcomes=listed, **bench):
                 for outcome in OUTCOMES:
                     _, result = session.goal(expected=outcome).result()
                     found = detected(result.recording, *named) if result.recording else "none"
@@ -71,7 +70,8 @@ def measure_trials(options: Namespace, folder: Path) -> list[str]:
     head = ["bench", "outcome", "verdict", "`detect`", "complete", "impact speed, m/s"]
     head += ["largest force, N", "stroke, mm"]
     good = f"{len(rows) - wrong} of {len(rows)} trials: the bench's outcome is the live verdict"
-    return [f"{good} and that of `detect`, and the recording is complete.", "", table(head, rows)]
+    rest = "and the verdict of `detect`, and the recording is complete."
+    return [f"{good} {rest}", "", table(head, rows)]
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks import costs, programs
 from benchmarks.machine import QUIET, OthersAtWork, is_busy
-from benchmarks.page import FOLDER, Results, measured, write_trials
+from benchmarks.page import FOLDER, TRIALS, Results, measured, write_trials
 from benchmarks.pages import DOCS, filled
 from benchmarks.plots import save_all
 from benchmarks.trial import Progress
@@ -72,7 +72,7 @@ def save(results: Results, folder: Path) -> None:
     (folder / FOLDER).mkdir(parents=True, exist_ok=True)
     page = filled((DOCS / "benchmark.md").read_text(encoding="utf-8"), measured(results))
     (folder / "benchmark.md").write_text(page, encoding="utf-8")
-    write_trials(results, folder / FOLDER / "trials.csv")
+    write_trials(results, folder / FOLDER / TRIALS)
     save_all(results, folder / FOLDER)
 
 

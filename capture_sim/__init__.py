@@ -1,4 +1,4 @@
-"""Simulation of a ground test bench for spacecraft docking: chaser, buffer, probe, cone, target.
+"""Simulation of a planar ground test bench for probe-and-cone docking, in Python or ROS 2 nodes.
 
 >>> import capture_sim
 >>> run = capture_sim.simulate("tilt_0", {"buffer.c_A": 20})

@@ -52,14 +52,14 @@ _FIRST_ERROR = 1e-4  # for the step control, as there is no earlier step
 CAUSES = {
     Status.NOT_FINITE: "the state is no longer finite",
     Status.STEP_TOO_SMALL: "the step fell below 1e-15 s",
-    Status.TOO_MANY_STEPS: "run.max_steps integrator steps, with those rejected, are used up",
+    Status.TOO_MANY_STEPS: "run.max_steps integrator steps, rejected steps included, are used up",
     Status.TIP_THROUGH_WALL: "the tip is pressed into a wall by more than 3/4 of its radius: "
     "the contact is too soft for this impact",
     Status.PROBE_IN_HINGE: "the probe is pushed in up to its tip: the scene needs stops, "
     "or a stiffer buffer",
     Status.STEP_TOO_LONG: "run.step is too long: the tip may leap over a wall or the latch, "
     "or the contact is not resolved",
-    Status.ENERGY_LOST: "run.step is too long: the energy ledger is off by more than 2 %",
+    Status.ENERGY_LOST: "run.step is too long: the energy ledger deviates by more than 2 %",
     Status.PILE_UP: "more than 100 events fell on one instant",
 }
 

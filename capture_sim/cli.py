@@ -15,6 +15,7 @@ from importlib import import_module
 from itertools import takewhile
 from typing import Any, NoReturn
 
+import capture_sim
 from capture_sim import __version__
 from capture_sim.commands import BAD_INPUT, COMMANDS, FAILED, GROUPS, INTERRUPTED, OK
 from capture_sim.errors import explain_import_error, one_line
@@ -105,7 +106,7 @@ def _run(arguments: Sequence[str]) -> int:
     parser = _Parser(
         prog="capture-sim",
         usage="capture-sim [-h] [--version] COMMAND ...",
-        description="Simulate a ground test bench for spacecraft docking.",
+        description=str(capture_sim.__doc__).partition("\n")[0],
         epilog=_overview(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -188,7 +189,7 @@ def _interrupted(state: str = "") -> int:
 
 
 def _flushed(status: int) -> int:
-    """Flush standard output; return the status, or that of bad input if the flush fails."""
+    """Flush standard output; return the status, or BAD_INPUT if the flush fails."""
     try:
         sys.stdout.flush()
     except BrokenPipeError:

@@ -63,7 +63,7 @@ _ROS_PACKAGES = ("ament_index_python", "rcl_interfaces", "rclpy", "rosidl_runtim
 
 
 def explain_import_error(error: ImportError) -> str:
-    """Return one line that says which package is missing and how to install it."""
+    """Return one line that names the missing package and how to install it."""
     package = (error.name or "").partition(".")[0]
     if (error.name or "").startswith(("capture_sim.msg", "capture_sim.srv", "capture_sim.action")):
         return (

@@ -407,10 +407,10 @@ _INCOMPLETE = "  INCOMPLETE"
 
 #: Meaning of the heads of the table.
 LEGEND = (
-    "Loads are peak values of the whole run; a second row has those until the latch closed.",
+    "Loads are peak values of the whole run; the second row counts until the latch closed.",
     "n: touches. Contact: the first one, with the wall met first, until the chatter ends.",
     "Buffer: strokes inwards and outwards, torsion, axial force of spring, damper and stops.",
-    "To BE: closest approach of the tip's centre to that of BE, the inner edge of the cone.",
+    "To BE: closest approach of the tip's centre to the centre of BE, the inner edge of the cone.",
 )
 
 
@@ -478,7 +478,7 @@ def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
     ]
     lines += [
         f"{s['name']}: loads are peaks of {s['loads_from']}, which may miss larger ones between "
-        "them; those of touches, and of the latch as it closes, are located."
+        "them; loads of touches, and of the latch as it closes, are located."
         for s in summaries
         if s["loads_from"] != "integration"
     ]
@@ -497,7 +497,7 @@ def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def made_by_text(name: str, made_by: Mapping[str, Any]) -> str:
-    """Return what made a run as a line: scene, hash, overrides, seed and version."""
+    """Return a run's origin as a line: scene, hash, overrides, seed and version."""
     parts = [f"scene {made_by['scene']}"] if "scene" in made_by else []
     if "scene_sha256" in made_by:
         parts[0] += f" ({made_by['scene_sha256'][:12]})"

@@ -93,7 +93,7 @@ class Release(Enum):
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a run comes from, and what made it."""
+    """Origin of a run: its source, scene, overrides and software."""
 
     path: str = ""  # of the recording; empty for a run of :func:`capture_sim.simulate`
     software: tuple[str, ...] = ()  # that made it, ``"name version"`` each
@@ -311,7 +311,7 @@ class Run:
             else:
                 touches = self._touches_in(series, is_turned=quantity == "tip_force")
                 shortest = MIN_SAMPLES * series.interval
-                limit = f"which may miss those below {shortest * 1e3:.3g} ms"
+                limit = f"which may miss touches below {shortest * 1e3:.3g} ms"
             described = f"{source}, {series.rate:.4g} Hz" if series.interval else source
             if touches is not None:
                 return touches, f"{described}, {limit}"

@@ -192,7 +192,7 @@ def low_pass(order: str, bandwidth: float, dt: float) -> Callable[[float], float
 
 
 def sensor_series(scene: Scene, samples: np.ndarray) -> dict[str, Series]:
-    """Return what the scene's sensors read in samples at ``run.state_rate``, by quantity.
+    """Return the readings of the scene's sensors at ``run.state_rate``, by quantity.
 
     ``chaser`` and ``target`` are poses by motion capture, (n, 3); ``cone_force`` is the force on
     the tip by the load cell, (n, 2), N, in the cone's axes.

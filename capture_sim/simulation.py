@@ -214,7 +214,7 @@ def _grid_statuses(scene: Scene) -> Sequence[CaptureStatus]:
 
 
 def _grid_samples(scene: Scene, samples: np.ndarray | None) -> np.ndarray:
-    """Return samples at ``run.state_rate``; without, those of another run."""
+    """Return samples at ``run.state_rate``, or at the times of another run if it is given."""
     return _on_grid(scene).state if samples is None else samples
 
 

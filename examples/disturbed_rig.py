@@ -62,21 +62,21 @@ class DisturbedRig(FakeRig):
 
     def measure(self):
         self.is_back = False
-        if self.released is not None:
-            going = self.t - self.released
+        if (going := self.chaser.going) is not None:
             self.is_back = 0.0 <= going - 1.0 < self.dt
             ends = (self.p.camera_end, self.p.camera_end, self.p.encoder_end)
             self.lost = {s: e < going or self.lost[s] for s, e in zip(self.lost, ends, strict=True)}
         self.burst = randint(5, 20) if random() < self.p.burst_loss / 12.5 else self.burst - 1
-        is_hidden = 0.0 <= self.since_contact < self.p.hidden
+        is_hidden = 0.0 <= self.chaser.since_contact < self.p.hidden
         self.is_unseen = self.burst > 0 or is_hidden or random() < self.p.loss
         super().measure()
-        while self.under_way and self.under_way[0][0] <= self.t:
+        while self.under_way and self.under_way[0][0] <= self.chaser.t:
             _, _, publisher, message = heapq.heappop(self.under_way)
             publisher.publish(message)
 
     def send(self, publisher, message):
-        is_early = self.released is not None and self.t - self.released < self.p.camera_begin
+        going = self.chaser.going
+        is_early = going is not None and going < self.p.camera_begin
         if self.lost.get(publisher) or (is_early and publisher in self.cameras):
             return
         offset = 0.0
@@ -93,7 +93,7 @@ class DisturbedRig(FakeRig):
     def photograph(self, i, true):
         p, dt, at = self.p, self.dt, true.pose.position
         self.slow[i] += gauss(0.0, p.slow_noise * (dt / 5.0) ** 0.5) - self.slow[i] * dt / 10.0
-        sigma = math.hypot(p.noise, p.moving_noise * self.speed * (1 - i))
+        sigma = math.hypot(p.noise, p.moving_noise * self.chaser.speed * (1 - i))
         yaw = gauss(0.0, math.sqrt(2.0) * p.noise / 0.15)
         pose = [gauss(at.x + self.slow[i], sigma), gauss(at.y, sigma), yaw]
         if self.is_unseen:
@@ -107,15 +107,16 @@ class DisturbedRig(FakeRig):
         p = self.p
         share = 1.0 - math.exp(-math.tau * p.cell_bandwidth * self.dt)
         self.force += share * (force - self.force)
-        if int(self.t * p.cell_rate) > int((self.t - self.dt) * p.cell_rate):
-            self.sample = gauss(self.force + p.cell_bias * (1.0 + self.t / 50.0), p.cell_noise)
+        t = self.chaser.t
+        if int(t * p.cell_rate) > int((t - self.dt) * p.cell_rate):
+            self.sample = gauss(self.force + p.cell_bias * (1.0 + t / 50.0), p.cell_noise)
         return self.sample
 
     def dispatch(self, publisher, message, offset):
         delay = max(0.0, gauss(self.p.latency, self.p.latency / 6.0))
-        stamped(message, self.t + offset + self.p.stamp_at_receipt * delay)
+        stamped(message, self.chaser.t + offset + self.p.stamp_at_receipt * delay)
         for _ in range(2 if random() < self.p.repeated else 1):
-            heapq.heappush(self.under_way, (self.t + delay, random(), publisher, message))
+            heapq.heappush(self.under_way, (self.chaser.t + delay, random(), publisher, message))
 
 
 if __name__ == "__main__":

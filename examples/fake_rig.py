@@ -1,7 +1,7 @@
 """A bench without code of capture_sim: cameras, encoders and a load cell, in plain rclpy.
 
-It shows what your driver must do: publish its measurements, and obey launcher/hold.
-disturbed_rig.py is the same bench with the faults of real sensors.
+It shows what your driver must do: publish its measurements, and obey launcher/hold. Copy it, and
+put your hardware in the place of FakeChaser. disturbed_rig.py adds the faults of real sensors.
 """
 
 import contextlib
@@ -9,36 +9,26 @@ import math
 import time
 
 import rclpy
+from fake_chaser import FakeChaser
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
-TARGET, STOP, SPEED, DROP = 0.66, 0.2125, 0.105, 0.1  # m, of the chaser at the cone; m/s after m
-BACK, ASIDE, RETURNED = 0.5, 0.12, 0.4  # m/s pulled back; m of a miss; speed after by before
-CONTACT, STROKE, MASS = 0.1, 0.003, 22.0  # s, m and kg
-CLOCK = 1.2e9  # s, by the bench's clock at its start
-
 
 class FakeRig(Node):
     def __init__(self, **options):
         super().__init__("fake_rig", **options)
-        self.declare_parameter("outcomes", ["captured"])  # of the releases in turn: captured,
-        self.declare_parameter("rate", 100.0)  # ... rebound, missed; Hz
-        self.declare_parameter("pace", 1.0)  # s of the bench in a second: saves waiting in tests
-        self.declare_parameter("hold_timeout", 0.5)  # s without launcher/hold: holds then
-        self.pace, self.dt = (
-            self.get_parameter("pace").value,
-            1.0 / self.get_parameter("rate").value,
-        )
-        self.t = self.x = self.y = self.speed = 0.0
-        self.released, self.held, self.trial, self.last_hold = None, -1.0, 0, -math.inf
-        self.armed = False  # a true was heard since the start, and since the last silence
+        self.chaser = FakeChaser(self.declare_parameter("outcomes", ["captured"]).value)
+        self.dt = 1.0 / self.declare_parameter("rate", 100.0).value  # s; Hz
+        pace = self.declare_parameter("pace", 1.0).value  # s of the bench in a second
+        self.hold_timeout = self.declare_parameter("hold_timeout", 0.5).value  # s
+        self.last_hold, self.armed = -math.inf, False  # armed: a true was heard since a silence
         transient_local = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.create_subscription(Bool, "launcher/hold", self.on_hold, transient_local)
         self.open_sensors()
-        self.create_timer(self.dt / self.pace, self.step)
+        self.create_timer(self.dt / pace, self.step)
 
     def open_sensors(self):
         vehicles = ("motion_capture/chaser", "motion_capture/target")
@@ -49,53 +39,29 @@ class FakeRig(Node):
     def on_hold(self, message):
         self.last_hold = time.monotonic()
         self.armed = self.armed or message.data
-        self.set_hold(message.data or not self.armed)
-
-    def set_hold(self, hold):
-        if not hold and self.released is None:
-            self.released, self.x = self.t, 0.0
-        elif hold and self.released is not None:  # the brake stops a chaser that moves
-            self.released, self.held, self.trial = None, self.t, self.trial + 1
+        if self.armed and not message.data:
+            self.chaser.let_go()
+        else:
+            self.chaser.hold()
 
     def step(self):
-        if time.monotonic() - self.last_hold > self.get_parameter("hold_timeout").value:
+        if time.monotonic() - self.last_hold > self.hold_timeout:
             self.armed = False  # the launcher is gone, or the network is
-            self.set_hold(True)
-        self.t += self.dt
-        self.move()
+            self.chaser.hold()
+        self.chaser.move(self.dt)
         self.measure()
 
-    def move(self):
-        outcomes = self.get_parameter("outcomes").value
-        outcome = outcomes[self.trial % len(outcomes)]
-        self.speed, self.since_contact = 0.0, -1.0
-        if self.released is not None:
-            going, sinking = self.t - self.released, 2.0 * DROP / SPEED  # s, of the mass
-            self.speed = SPEED * min(1.0, going / sinking)
-            self.x = 0.5 * self.speed * min(going, sinking) + SPEED * max(0.0, going - sinking)
-            if self.x >= STOP and outcome != "missed":
-                self.since_contact = (self.x - STOP) / SPEED
-                self.speed = -RETURNED * SPEED if outcome == "rebound" else 0.0
-                self.x = STOP + self.speed * self.since_contact
-        elif self.t > self.held + 0.5:  # somebody pulls it back
-            self.x = max(0.0, self.x - BACK * self.dt)
-            self.y = ASIDE if outcome == "missed" else 0.0
-        # of a half sine in the contact, 0 to 1
-        self.push = max(0.0, math.sin(math.pi * min(1.0, self.since_contact / CONTACT)))
-
     def measure(self):
-        vehicles = ((self.x + STROKE * self.push, self.y, 0.0), (TARGET, 0.0, 0.0))
-        for camera, pose in zip(self.cameras, vehicles, strict=True):
+        for camera, pose in zip(self.cameras, self.chaser.poses, strict=True):
             self.send(camera, pose_message(PoseStamped(), *pose))
-        joints = JointState(name=["buffer_hinge", "buffer_slide"])
-        joints.position = [0.0, -STROKE * self.push]
-        self.send(self.encoders, joints)
+        names, positions = ["buffer_hinge", "buffer_slide"], [0.0, -self.chaser.stroke]
+        self.send(self.encoders, JointState(name=names, position=positions))
         wrench = WrenchStamped()
-        wrench.wrench.force.x = self.push * 0.5 * math.pi * MASS * SPEED / CONTACT
+        wrench.wrench.force.x = self.chaser.force
         self.send(self.cell, wrench)
 
     def send(self, publisher, message):
-        publisher.publish(stamped(message, self.t))
+        publisher.publish(stamped(message, self.chaser.t))
 
 
 def pose_message(message, x, y, yaw):
@@ -106,7 +72,8 @@ def pose_message(message, x, y, yaw):
 
 
 def stamped(message, t):
-    seconds, nanoseconds = divmod(round((CLOCK + t) * 1e9), 10**9)
+    """Stamp a message by the bench's clock, which is not that of this computer."""
+    seconds, nanoseconds = divmod(round((1.2e9 + t) * 1e9), 10**9)
     message.header.stamp.sec, message.header.stamp.nanosec = seconds, nanoseconds
     return message
 

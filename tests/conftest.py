@@ -37,8 +37,8 @@ hypothesis.settings.register_profile("untimed", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("untimed")
 
 #: Files of long tests: begun last, one runs on while the other workers have nothing left.
-LONG = ("test_other_numba.py", "test_install.py", "test_trials.py", "test_accuracy.py")
-LONG += ("test_docs.py", "test_sweep.py", "test_reproduction.py", "test_second_formulation.py")
+LONG = ("test_design.py", "test_docs.py", "test_install.py", "test_injections.py")
+LONG += ("test_second_formulation.py", "test_sweep.py", "test_loop_faults.py", "test_trials.py")
 
 # At import: the environment must stand before anything loads rclpy.
 _domain, _lock = _claim_domain()

@@ -11,10 +11,11 @@ from capture_sim.bench import Bench
 from capture_sim.launch.plan import LaunchPlan, plan_launch
 from capture_sim.launch.scenes import load_scene
 from capture_sim.run import Run
-from capture_sim.scene.parts import Scene
+from capture_sim.scene.parts import LoadCell, Scene, Sensors
 from capture_sim.scene.paths import changed
+from capture_sim.sensors import sensor_series
 from capture_sim.series import Series, series_in
-from capture_sim.touches import Touches, located
+from capture_sim.touches import Touches, in_messages, located
 
 #: What is fitted.
 NAMES = ("c_rr", "e", "mu", "c_A")
@@ -27,6 +28,9 @@ STROKE_NOISE, TORSION_NOISE = 5e-5, 2e-4
 START_NOISE, PEAK_NOISE = 2e-4, 2.0
 #: Rate of the measurements, Hz, and how many touches are used.
 RATE, TOUCHES = 100.0, 4
+#: Of a sampled force: rate, Hz, bias and standard deviation, N, and how long it is measured before
+#: and after the first touch, s.
+CELL_RATE, CELL_BIAS, CELL_NOISE, AROUND = 2e4, (1.5, -0.8), 0.5, 0.3
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,61 @@ def noisy_run(name: str, seed: int, true: tuple[float, ...] | None = None) -> No
         peak=met["peak_force"] + rng.normal(size=met.size) * PEAK_NOISE,
     )
     return NoisyRun(scene, parameters, Run(name, series=measured, plan=plan), touches)
+
+
+def tip_force(run: NoisyRun, rng: np.random.Generator) -> Series:
+    """Measure the force on the tip in its own frame, (n, 2), N, around the first touches."""
+    samples = _bench_of(run).advance(_cell_times(run))
+    force = samples["contact_force"] + samples["latch_force"]
+    c, s = np.cos(samples["q"][:, 3]), np.sin(samples["q"][:, 3])
+    own = np.stack([c * force[:, 0] + s * force[:, 1], c * force[:, 1] - s * force[:, 0]], axis=1)
+    return Series(samples["t"], _as_measured(own, rng))
+
+
+def cell_force(run: NoisyRun, rng: np.random.Generator, bandwidth: float) -> Series:
+    """Measure it by a load cell under the cone, in the cone's axes, (n, 2), N."""
+    bench = _bench_of(run)
+    sensors = Sensors(None, LoadCell(rate=CELL_RATE, bandwidth=bandwidth))
+    rates = dataclasses.replace(bench.scene.run, state_rate=CELL_RATE)
+    scene = dataclasses.replace(bench.scene, sensors=sensors, run=rates)
+    force = sensor_series(scene, bench.advance(_cell_times(run)))["cone_force"]
+    return force._replace(values=_as_measured(force.values, rng))
+
+
+def counted(run: NoisyRun, rng: np.random.Generator, rate: float) -> Touches | None:
+    """Measure the touches by messages that have the number and the peak since the last one."""
+    bench = _bench_of(run)
+    t = np.arange(0.0, _first_touch(run) + AROUND, 1.0 / rate)
+    bench.advance(t)
+    met = located(bench.touches)
+    begun, peak = np.zeros(t.size, dtype=int), np.zeros(t.size)
+    met = met.of(met.start < t[-1])
+    np.add.at(begun, np.searchsorted(t, met.start), 1)
+    measured = met.peak + PEAK_NOISE * rng.normal(size=met.peak.size)
+    np.maximum.at(peak, np.minimum(np.searchsorted(t, met.peak_time), t.size - 1), measured)
+    in_touch = np.zeros(t.size, dtype=bool)
+    for start, lasted in zip(met.start, met.lasted, strict=True):
+        in_touch |= (t >= start) & (t < start + lasted)
+    return in_messages(t, begun, peak, in_touch)
+
+
+def _first_touch(run: NoisyRun) -> float:
+    return float(run.touches.start[0])
+
+
+def _bench_of(run: NoisyRun) -> Bench:
+    assert run.run.plan is not None
+    return Bench(with_parameters(run.scene, run.run.plan, *run.true.tolist()))
+
+
+def _cell_times(run: NoisyRun) -> np.ndarray:
+    met = _first_touch(run)
+    return np.arange(met - AROUND, met + AROUND, 1.0 / CELL_RATE)
+
+
+def _as_measured(force: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    noisy: np.ndarray = force + np.array(CELL_BIAS) + CELL_NOISE * rng.normal(size=force.shape)
+    return noisy
 
 
 def later(run: Run, by: float) -> Run:

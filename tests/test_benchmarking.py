@@ -15,6 +15,7 @@ from benchmarks import costs, programs, speed
 from benchmarks.engines import cvode, own, textbook
 from benchmarks.machine import OthersAtWork
 from benchmarks.page import measured
+from benchmarks.plots import Point, chosen
 from benchmarks.reference import load_reference
 from benchmarks.references.generate import REFERENCES
 from benchmarks.speed import measure, save
@@ -78,6 +79,17 @@ def test_a_quick_benchmark_writes_its_page_and_every_trial(results, tmp_path):
     ours = [t for t in trials if t["program"] == "capture_sim dop853"]
     assert float(ours[-1]["position_error_m_or_rad"]) < 1e-9
     assert (tmp_path / "benchmark" / "work_precision.svg").stat().st_size > 10_000
+
+
+def test_speed_is_drawn_of_both_methods_here_and_of_the_fastest_of_each_other_kind():
+    fast, slow = (("CVODE BDF", 1.0), ("SciPy RK45", 3.0)), (("CVODE Adams", 2.0),)
+    rows = [*fast, *slow, ("capture_sim dop853", 1.0), ("capture_sim dopri5", 9.0)]
+    points = [Point(name, 0.35, seconds, 1e-7, 1e-6) for name, seconds in rows]
+    inaccurate = Point("CVODE Adams", 0.35, 0.1, 1e-3, 1e-6)
+    miscounted = Point("CVODE Adams", 0.35, 0.1, 1e-9, math.nan)
+    drawn = chosen([*points, inaccurate, miscounted])
+    names = ["capture_sim dop853", "capture_sim dopri5", "CVODE BDF", "SciPy RK45"]
+    assert [settings[0].program for settings in drawn] == names
 
 
 def test_a_run_with_other_touches_or_late_events_does_not_count():

@@ -10,7 +10,7 @@ from capture_sim import load_scene, simulate
 from capture_sim.kernels import entry_kernel, kernel, plain
 from capture_sim.solver.pairs import PAIRS
 from capture_sim.solver.roots import cubic_minimum, may_cross
-from capture_sim.solver.runge_kutta import dense, make_stepper, set_pair, stepper_type
+from capture_sim.solver.runge_kutta import dense, make_stepper, next_factor, set_pair, stepper_type
 
 
 @kernel
@@ -82,6 +82,31 @@ def test_dense_output_between_steps(name, n, error, reference):
     _, between = fixed_steps(name, n, fractions=(0.0, 0.25, 0.5, 0.9, 1.0))
     for t, y in between:
         assert y == pytest.approx(reference.sol(t), abs=error)
+
+
+@pytest.mark.parametrize("error", [1e-3, 0.3, 1.0, 2.0, 40.0])
+@pytest.mark.parametrize("previous", [1e-6, 0.02, 0.9])
+def test_next_step_is_that_of_dopri5(error, previous):
+    # exponents 0.2 - 0.75 BETA and BETA = 0.04, both limits of the factor: Hairer's DOPRI5
+    factor = 0.9 * error**-0.17
+    if error <= 1.0:
+        factor *= max(previous, 1e-4) ** 0.04
+    assert plain(next_factor)(error, previous, 5) == pytest.approx(
+        min(max(factor, 0.2), 6.0), rel=1e-12
+    )
+
+
+@pytest.mark.parametrize("order", [5, 8])
+@pytest.mark.parametrize("error", [1e-9, 1e9])
+def test_steps_settle_below_the_tolerance(order, error):
+    """An error that goes with the step's power: soon no step is rejected, and none is wasted."""
+    errors = [error]
+    previous = 1.0
+    for _ in range(20):
+        factor = plain(next_factor)(errors[-1], previous, order)
+        previous = errors[-1] if errors[-1] <= 1.0 else previous
+        errors.append(errors[-1] * factor**order)
+    assert all(0.1 < e < 1.0 for e in errors[-8:])
 
 
 def test_kernels_for_kernels_are_refused_to_python():

@@ -47,8 +47,52 @@ def test_manifest_and_project_agree():
     assert PROJECT["dynamic"] == ["version"]  # the package's: it has none of its own
     assert MANIFEST.findtext("name") == PROJECT["name"] == "capture_sim"
     assert MANIFEST.findtext("license") == PROJECT["license"] == "Apache-2.0"
+    description = PROJECT["description"]
+    assert MANIFEST.findtext("description") == description
     maintainer = MANIFEST.find("maintainer")
     assert PROJECT["authors"] == [{"name": maintainer.text, "email": maintainer.get("email")}]
+
+
+def test_the_project_is_described_once(capsys):
+    """In the index of packages, README, the site, a citation, `help` and `import`."""
+    description = PROJECT["description"]
+    assert description.startswith("Simulation of ")
+    readme = (ROOT / "README.md").read_text().split("\n\n")
+    assert readme[:2] == ["# capture_sim", f"{description}."]
+    site = re.search(r"^site_description: (.*)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE)
+    assert site[1] == description
+    [title] = re.findall(r'^title: "capture_sim: (.*)"$', (ROOT / "CITATION.cff").read_text(), re.M)
+    assert title == description[0].lower() + description[1:]
+    assert capture_sim.__doc__.splitlines()[0] == f"{description}."
+    assert cli.main(["--help"]) == 0
+    assert description in capsys.readouterr().out
+
+
+def test_help_of_a_node_is_for_a_user():
+    """The docstring of its class is printed, so it names pages and not modules."""
+    nodes = []
+    for path in (ROOT / "capture_sim" / "nodes").glob("*.py"):
+        classes = [n for n in ast.parse(path.read_text()).body if isinstance(n, ast.ClassDef)]
+        nodes += [n for n in classes if "BenchNode" in map(ast.unparse, n.bases)]
+    assert len(nodes) == 8
+    for node in nodes:
+        text = ast.get_docstring(node)
+        assert not re.search(r":\w+:`|capture_sim\.", text), node.name
+        for page in re.findall(r"docs/\w+\.md", text):
+            assert (ROOT / page).is_file(), page
+
+
+def test_addresses_belong_to_nobody():
+    """Those of RFC 2606, which nobody can register: an invented one may be somebody's."""
+    names = subprocess.check_output(["git", "ls-files"], cwd=ROOT, text=True).splitlines()
+    reserved = re.compile(r"example\.(com|net|org)|.*\.(example|invalid|test|localhost)")
+    for name in names:
+        try:
+            text = (ROOT / name).read_text()
+        except UnicodeDecodeError:
+            continue  # a picture
+        for host in re.findall(r"\b[\w.+-]+@((?:[a-z0-9-]+\.)+[a-z]{2,})\b", text):
+            assert reserved.fullmatch(host), f"{name}: {host}"
 
 
 def test_interface_dependencies_are_declared():
@@ -92,14 +136,6 @@ def test_all_that_is_imported_is_declared():
         for name in imported_packages(path):
             used.setdefault(name, path.relative_to(ROOT))
     assert {n: path for n, path in used.items() if not {n, n.lower()} & (ros | pip)} == {}
-
-
-def test_every_field_of_a_message_is_explained():
-    """On its own line; the phrase of a standard type may say it all."""
-    for path in INTERFACES:
-        for line in path.read_text().splitlines():
-            field, _, comment = line.partition("#")
-            assert comment.strip() or field.strip() in ("", "---", "std_msgs/Header header"), path
 
 
 def test_executables_exist():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from maximal_model import MaximalBench, limit_used
+from maximal_model import MaximalBench
 from random_accuracy import first_touch, run
 from random_scenes import wide_scenes
 
@@ -170,11 +170,3 @@ def test_maximal_coordinates_agree_on_the_floor():
     other = MaximalBench(scene, leave.t, leave.q, leave.v, rtol=1e-12)
     agree(found, other.advance(list(times)), times, exact=1e-11)
     assert other.run.moving == pytest.approx([moves.t], abs=1e-11)
-
-
-def test_limit_of_the_supports_in_cases_that_can_be_solved_by_hand():
-    balls = np.array(
-        [[0.1, 0.0, 2.0], [-0.05, 0.0866025403784, 2.0], [-0.05, -0.0866025403784, 2.0]]
-    )
-    assert limit_used(np.array([3.0, 0.0, 0.0]), balls, 0.3) == pytest.approx(0.5, rel=1e-9)
-    assert limit_used(np.array([0.0, 0.0, 0.3]), balls, 0.3) == pytest.approx(0.5, rel=1e-6)

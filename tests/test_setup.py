@@ -95,6 +95,18 @@ def test_what_is_done_is_not_done_again_after_a_failure(project, setup_env, monk
     assert setup_env.found_state() == {}
 
 
+def test_every_line_of_the_set_up_names_its_step(tmp_path, setup_env, monkeypatch, capsys):
+    """Where the output is no terminal: lines while a step lasts, and one at its end."""
+    monkeypatch.setattr(setup_env, "LOG", tmp_path / "setup.log")
+    monkeypatch.setattr(setup_env.Progress, "PERIOD", 0.0)
+    wait = "import time; print('compiling', flush=True); time.sleep(1.5)"
+    setup_env.Progress().run("Messages", [sys.executable, "-c", wait])
+    *lines, last = capsys.readouterr().out.splitlines()
+    assert all(re.fullmatch(r"  Messages \.\.\. \d+ s  (compiling)?", line) for line in lines)
+    assert any(line.endswith("compiling") for line in lines)
+    assert re.fullmatch(r"  Messages: done in [\d.]+ s", last)
+
+
 def test_a_machine_that_lacks_something_is_told_what(setup_env, monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(sys, "argv", ["setup_env.py"])
     with monkeypatch.context() as lacking:

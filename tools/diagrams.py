@@ -1,4 +1,4 @@
-"""Draws the diagrams of the pages: nodes and topics, states, the timing of the loop, one touch.
+"""Draws the diagrams of the pages: nodes, states, timing of the loop, frames of a rig, one touch.
 
 python -m tools.diagrams docs
 """
@@ -16,15 +16,52 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch, Rectangle
 
+from capture_sim.detection.criteria import CaptureState
 from capture_sim.launch.scenes import load_scene
-from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR, topics_of
+from capture_sim.launch.watch import LauncherPhase
+from capture_sim.messages import topics
 from capture_sim.run import Run
+from capture_sim.scene.parts import Scene
 from capture_sim.simulation import simulate
 from capture_sim.viewing import style
-from capture_sim.viewing.canvas import new_figure, save, subplots
+from capture_sim.viewing.canvas import draw_shapes, new_figure, save, subplots
+from capture_sim.viewing.shapes import CHASER, TARGET, state_shapes
 from capture_sim.viewing.source import resolved
 
 _FONT = 12.0
+_IN_THE_ZONE = "in the zone for min_dwell, or past BE in the throat"
+_AT_REST = "at rest outside the zone for min_still_time"
+_BESIDE = "past BE beside the throat"
+_NO_VERDICT = "the run ends before a verdict, or a source fails"
+#: What leads from one state of the launcher to another.
+LAUNCHER = {
+    (LauncherPhase.IDLE, LauncherPhase.ARMED): "scene, mass\nand height",
+    (LauncherPhase.ARMED, LauncherPhase.RELEASED): "release",
+    (LauncherPhase.RELEASED, LauncherPhase.LANDED): "mass has\nlanded",
+    (LauncherPhase.LANDED, LauncherPhase.DELIVERED): "tip at\nthe cone",
+    (LauncherPhase.RELEASED, LauncherPhase.DELIVERED): "tip at the cone while the mass sinks",
+    (LauncherPhase.ARMED, LauncherPhase.ABORTED): "from armed on: cancelled, or poses not fresh",
+    (LauncherPhase.RELEASED, LauncherPhase.ABORTED): (
+        "from released on: also a wrong speed or a late touch"
+    ),
+    (LauncherPhase.LANDED, LauncherPhase.ABORTED): (
+        "from released on: also a wrong speed or a late touch"
+    ),
+}
+#: What leads from one state of the detector to another.
+DETECTOR = {
+    (CaptureState.APPROACH, CaptureState.CONTACT): "tip at a wall, or buffer pushed near one",
+    (CaptureState.APPROACH, CaptureState.CAPTURED): _IN_THE_ZONE,
+    (CaptureState.APPROACH, CaptureState.REBOUND): "turned round where noise may hide a touch",
+    (CaptureState.APPROACH, CaptureState.MISSED): f"min_retreat away, or {_BESIDE}",
+    (CaptureState.APPROACH, CaptureState.STUCK): _AT_REST,
+    (CaptureState.APPROACH, CaptureState.UNDECIDED): _NO_VERDICT,
+    (CaptureState.CONTACT, CaptureState.CAPTURED): _IN_THE_ZONE,
+    (CaptureState.CONTACT, CaptureState.REBOUND): "min_retreat away from its closest approach",
+    (CaptureState.CONTACT, CaptureState.MISSED): _BESIDE,
+    (CaptureState.CONTACT, CaptureState.STUCK): _AT_REST,
+    (CaptureState.CONTACT, CaptureState.UNDECIDED): _NO_VERDICT,
+}
 _MARGIN = 4e-5  # s, drawn before and after the touch
 
 
@@ -62,9 +99,11 @@ def _draw_arrow(
     text: str = "",
     at: tuple[float, float] | None = None,
     bend: float = 0.0,
+    head: str = "-|>",
+    colour: str = style.DARK,
 ) -> None:
     """Draw an arrow from the first to the last end, with a text in its middle or at a place."""
-    look = {"arrowstyle": "-|>", "mutation_scale": 14.0, "color": style.DARK, "lw": 1.3}
+    look = {"arrowstyle": head, "mutation_scale": 14.0, "color": colour, "lw": 1.3, "zorder": 7}
     curve = f"arc3,rad={bend}"
     axes.add_patch(FancyArrowPatch(*ends, connectionstyle=curve, shrinkA=0, shrinkB=0, **look))
     if text:
@@ -75,11 +114,11 @@ def _draw_arrow(
 def draw_nodes() -> Figure:
     """Draw the nodes and the topics between them, as the table of topics has them."""
     figure, axes = _diagram(12.5, 7.4)
-    publishers = {SIMULATOR: 1.6, LAUNCHER: 6.3, CAPTURE_DETECTOR: 10.8}
+    publishers = {topics.SIMULATOR: 1.6, topics.LAUNCHER: 6.3, topics.CAPTURE_DETECTOR: 10.8}
     top, below = 6.0, 1.38
     for node, x in publishers.items():
         _draw_box(axes, _Box(node, x, top, 2.3, 0.7, style.CONE))
-        names = [f"/{topic.name}" for topic in topics_of(node)]
+        names = [f"/{topic.name}" for topic in topics.topics_of(node)]
         axes.text(x, top - 0.9, "\n".join(names), ha="center", va="top", fontsize=_FONT - 1.0)
         end = top - 0.95 - 0.205 * len(names)
         axes.plot([x, x], [top - 0.38, top - 0.8], color=style.DARK, lw=1.3)
@@ -95,41 +134,65 @@ def draw_nodes() -> Figure:
 
 
 def draw_states() -> Figure:
-    """Draw the states of the launcher and of the detector."""
-    figure, axes = _diagram(12.5, 6.2)
-    axes.text(0.2, 5.9, "Launcher", fontsize=_FONT + 2, fontweight="bold", va="center")
-    states = ("idle", "armed", "released", "landed", "delivered")
-    events = ("mass and height\nchosen", "release", "mass has\nlanded", "tip at\nthe cone")
-    places = [1.1 + 2.6 * i for i in range(len(states))]
-    for x, state in zip(places, states, strict=True):
-        _draw_box(axes, _Box(state, x, 5.1, 1.3, 0.6))
-    for (a, b), event in zip(itertools.pairwise(places), events, strict=True):
-        _draw_arrow(axes, [(a + 0.7, 5.1), (b - 0.7, 5.1)], event, ((a + b) / 2, 5.68))
-    _draw_box(axes, _Box("aborted", places[2] + 1.3, 3.75, 1.4, 0.6, "#F7D9D2"))
-    for x in places[1:4]:
-        end = places[2] + 1.3 + 0.25 * np.sign(x - places[2])
-        _draw_arrow(axes, [(x, 4.78), (end, 4.08)])
-    text = "cancelled, late or wrong speed, poses not fresh"
-    axes.text(places[2] + 2.3, 3.75, text, fontsize=_FONT - 1.5, va="center")
-    axes.text(0.2, 3.1, "Detector", fontsize=_FONT + 2, fontweight="bold", va="center")
-    _draw_box(axes, _Box("approach", 1.3, 1.6, 1.6, 0.7, style.STATES["approach"]))
-    _draw_box(axes, _Box("contact", 4.6, 1.6, 1.6, 0.7, style.STATES["contact"]))
-    _draw_arrow(axes, [(2.13, 1.6), (3.77, 1.6)], "first touch", (2.95, 1.9))
-    verdicts = (
-        ("captured", "tip in the zone for the dwell time"),
-        ("rebound", "tip moves out of the cone again"),
-        ("stuck", "tip is at rest outside of the zone"),
-        ("missed", "tip passes beside the cone"),
-        ("undecided", "the run ends, or a source is lost"),
-    )
-    for i, (verdict, meaning) in enumerate(verdicts):
-        y = 2.7 - 0.56 * i
-        _draw_box(axes, _Box("", 8.0, y, 0.3, 0.3, style.STATES[verdict]))
-        axes.text(8.3, y, f"{verdict}: {meaning}", fontsize=_FONT - 1.0, va="center")
-        _draw_arrow(axes, [(5.43, 1.6), (7.8, y)])
-    # a verdict of a run without contact
-    _draw_arrow(axes, [(1.3, 1.22), (7.8, 0.98)], "no contact", (4.0, 0.45), bend=0.12)
+    """Draw every state of the launcher and of the detector, and what leads from one to another."""
+    figure, axes = _diagram(12.5, 8.6)
+    _draw_launcher_states(axes)
+    _draw_detector_states(axes)
     return figure
+
+
+def _draw_launcher_states(axes: Axes) -> None:
+    axes.text(0.2, 8.35, "Launcher", fontsize=_FONT + 2, fontweight="bold", va="center")
+    row, low, width = 7.0, 5.8, 1.4
+    chain = [state for state in LauncherPhase if state is not LauncherPhase.ABORTED]
+    places = {state: (1.0 + 2.6 * i, row) for i, state in enumerate(chain)}
+    places[LauncherPhase.ABORTED] = (6.2, low)
+    for state, (x, y) in places.items():
+        colour = "#F7D9D2" if state is LauncherPhase.ABORTED else style.PALE
+        _draw_box(axes, _Box(state.label, x, y, width, 0.6, colour))
+    for (before, after), text in LAUNCHER.items():
+        (x, y), (x_after, y_after) = places[before], places[after]
+        if y_after < y:
+            end = x_after + np.clip(x - x_after, -1.0, 1.0) * 0.25 * width
+            _draw_arrow(axes, [(x, y - 0.33), (end, low + 0.33)])
+        elif chain.index(after) > chain.index(before) + 1:
+            ends = (x, y + 0.33), (x_after, y_after + 0.33)
+            _draw_arrow(axes, ends, text, ((x + x_after) / 2, y + 1.05), bend=-0.22)
+        else:
+            ends = (x + width / 2 + 0.03, y), (x_after - width / 2 - 0.03, y)
+            _draw_arrow(axes, ends, text, ((x + x_after) / 2, y + 0.36))
+    texts = dict.fromkeys(text for (_, after), text in LAUNCHER.items() if places[after][1] == low)
+    axes.text(7.1, low, "\n".join(texts), fontsize=_FONT - 1.5, va="center")
+
+
+def _draw_detector_states(axes: Axes) -> None:
+    """Draw a row for each verdict, with what leads to it without and after a contact."""
+    axes.text(0.2, 5.0, "Detector", fontsize=_FONT + 2, fontweight="bold", va="center")
+    rows = {
+        state: 3.4 - 0.66 * i
+        for i, state in enumerate(state for state in CaptureState if state > CaptureState.CONTACT)
+    }
+    columns = {CaptureState.APPROACH: 0.85, CaptureState.CONTACT: 11.65}
+    middle, height, width, verdict = 2.4, 3.9, 1.3, 6.25
+    for state, x in columns.items():
+        colour = style.STATES[state.label]
+        _draw_box(axes, _Box(state.label, x, middle, width, height, colour))
+    for state, y in rows.items():
+        _draw_box(axes, _Box("", verdict - 0.58, y, 0.2, 0.2, style.STATES[state.label]))
+        axes.text(verdict - 0.4, y, state.label, fontsize=_FONT - 0.5, va="center")
+    for (before, after), text in DETECTOR.items():
+        edge = (width / 2 + 0.03) * (1 if before is CaptureState.APPROACH else -1)
+        start = columns[before] + edge
+        if after is CaptureState.CONTACT:
+            y = middle + height / 2 - 0.3
+            ends = (start, y), (columns[after] - width / 2 - 0.03, y)
+            _draw_arrow(axes, ends, text, (verdict, y + 0.17))
+            continue
+        end = verdict - 0.75 if edge > 0 else verdict + 0.65
+        ends = (start, rows[after]), (end, rows[after])
+        _draw_arrow(axes, ends, text, ((start + end) / 2, rows[after] + 0.15))
+    text = "At the end of a run, further rules apply: see its section in the detector's page."
+    axes.text(verdict, 0.2, text, ha="center", va="center", fontsize=_FONT - 1.5)
 
 
 def draw_loop_timing() -> Figure:
@@ -179,8 +242,62 @@ def draw_loop_timing() -> Figure:
     return figure
 
 
+def draw_rig(scene: Scene) -> Figure:
+    """Draw the frames and lengths that a rig needs, at the start of a scene, from above, mm."""
+    figure, [[axes]] = subplots(12.5, 5.0, grid=None)
+    q = scene.initial_coordinates()[0]
+    q[CHASER[1]] = q[TARGET[1]] = q[CHASER[2]] = q[TARGET[2]] = 0.0
+    draw_shapes(axes, state_shapes(scene, q, style.BLUE), 1e3)
+    hinge = scene.buffer.hinge_offset
+    frame, far = q[CHASER[0]], q[TARGET[0]]
+    places = [0.0, hinge, hinge + scene.rest_length, far - frame - scene.cone.L_T, far - frame]
+    x = [1e3 * (frame + place) for place in places]
+    axes.plot([x[2], x[3]], [0.0, 0.0], color=style.GREY, ls="-.", lw=1.0)
+    level, below = -140.0, -178.0
+    for at, low in zip(x, (below, level, level, level, below), strict=True):
+        axes.plot([at, at], [0.0, low - 5.0], color=style.GREY, lw=1.0, zorder=6)
+    for start, end, y in [*((a, b, level) for a, b in itertools.pairwise(x)), (x[0], x[-1], below)]:
+        _draw_arrow(axes, [(start, y), (end, y)], head="<|-|>")
+        axes.text((start + end) / 2, y + 6.0, f"{end - start:g}", ha="center", fontsize=_FONT)
+    for at, name in ((x[0], "chaser's"), (x[-1], "target's")):
+        for dx, dy, letter, colour in (
+            (58.0, 0.0, "x", style.VERMILION),
+            (0.0, 58.0, "y", style.GREEN),
+        ):
+            _draw_arrow(axes, [(at, 0.0), (at + dx, dy)], colour=colour)
+            axes.text(
+                *(at + dx + 8.0, dy + 5.0, letter),
+                color=colour,
+                fontsize=_FONT,
+                zorder=9,
+                ha="center",
+            )
+        axes.text(at, 132.0, f"{name} base frame", ha="center", fontsize=_FONT)
+    for at, text, place in (
+        (x[1], "hinge", (x[1] + 4.0, 132.0)),
+        (x[2], "centre of the tip", (x[2], 70.0)),
+        (x[3], "centre of BE,\nthe cone's inner edge", (x[3] - 68.0, 100.0)),
+    ):
+        line = {"arrowstyle": "-", "lw": 0.9, "color": style.GREY}
+        axes.annotate(text, (at, 0.0), place, fontsize=_FONT, ha="center", arrowprops=line)
+        axes.plot(at, 0.0, "o", color=style.BLACK, ms=6.0, zorder=9)
+    middle = (x[1] + x[2]) / 2
+    _draw_arrow(axes, [(middle + 30.0, -32.0), (middle - 30.0, -32.0)], colour=style.BLUE)
+    blue = {"color": style.BLUE, "fontsize": _FONT, "ha": "center"}
+    axes.text(middle, -52.0, "buffer_slide < 0", **blue)
+    turn = [(x[1] + 60.0, 0.0), (x[1] + 46.0, 38.0)]
+    _draw_arrow(axes, turn, colour=style.BLUE, bend=0.2)
+    axes.text(middle + 20.0, 34.0, "buffer_hinge > 0", **blue)
+    axes.set_title(
+        f"Lengths in mm, {scene.name} at the release; both headings are 0", fontsize=_FONT
+    )
+    axes.set(aspect="equal", ylim=(below - 12.0, 150.0))
+    axes.set_axis_off()
+    return figure
+
+
 def draw_touch(run: Run) -> Figure:
-    """Draw the first touch of a run: force and penetration over 0.3 ms, with the samples."""
+    """Draw the force and the penetration of the first touch of a run, at the integrator's steps."""
     touch = run.touches[np.argmin(run.touches["start"])]
     start = float(touch["start"])
     fine = resolved(run, (start - _MARGIN, float(touch["end"]) + _MARGIN)).samples
@@ -192,13 +309,14 @@ def draw_touch(run: Run) -> Figure:
     peak = (float(touch["peak_time"]) - start) * 1e3, float(touch["peak_force"])
     force.plot(*peak, "o", color=style.BLACK)
     force.annotate(
-        f"peak {peak[1]:.1f} N", peak, xytext=(8, -4), textcoords="offset points", fontsize=_FONT
+        f"peak {peak[1]:.1f} N", peak, xytext=(10, 6), textcoords="offset points", fontsize=_FONT
     )
     lasted = (float(touch["end"]) - start) * 1e3
     for axes, label in ((force, "normal force  [N]"), (depth, "penetration  [µm]")):
         axes.axvspan(0.0, lasted, color=style.CONTACT, alpha=0.3, lw=0)
         axes.set_ylabel(label)
-        axes.set_ylim(bottom=0.0)
+        axes.set_ylim(0.0, 1.15 * axes.get_ylim()[1])
+    force.text(lasted / 2, 2.0, "in contact", ha="center", va="bottom", fontsize=_FONT)
     depth.set_xlabel("time since the start of the touch  [ms]")
     speed = float(touch["approach_speed"])
     impulse = float(touch["impulse"]) * 1e3
@@ -216,6 +334,7 @@ def main(folder: Path) -> None:
         ("nodes", draw_nodes()),
         ("states", draw_states()),
         ("loop_timing", draw_loop_timing()),
+        ("your_rig", draw_rig(load_scene("tilt_0"))),
         ("touch", draw_touch(simulate(load_scene("tilt_p10")))),
     ):
         print(save(figure, folder / f"{name}.svg"))

@@ -26,8 +26,8 @@ from capture_sim.run import Run
 from capture_sim.scene.parts import Scene
 from capture_sim.simulation import simulate
 from capture_sim.viewing import style
-from capture_sim.viewing.canvas import draw_shapes, new_figure, save
-from capture_sim.viewing.curves import PlottedRun, plotted_runs
+from capture_sim.viewing.canvas import draw_shapes, dress, new_figure, save
+from capture_sim.viewing.curves import FORCE, PlottedRun, plotted_runs, time_label
 from capture_sim.viewing.drawing import draw_path
 from capture_sim.viewing.figures import state_at
 from capture_sim.viewing.shapes import (
@@ -107,18 +107,14 @@ def _draw_launch(axes: Axes, scene: Scene) -> None:
         ("pulley", pulley[0], pulley[1] + 0.03),
         ("mass (hangs)", pulley[0] + 0.07, pulley[1] + 0.035),
         ("buffer", chaser[0] + 0.2, chaser[1] + 0.05),
-        ("probe", chaser[0] + 0.31, chaser[1] + 0.03),
+        ("probe", chaser[0] + 0.335, chaser[1] + 0.04),
         ("cone", target[0] - 0.17, target[1] - 0.05),
     ):
         _say(axes, text, (x, y), ha="left" if "mass" in text else "center")
     assert scene.supports is not None
-    for body, balls, share in (
-        (CHASER, scene.supports.chaser.balls, -0.5),
-        (TARGET, scene.supports.target.balls, 0.5),
-    ):
-        highest = np.array([max(balls, key=lambda ball: ball[1])])
-        x, y = placed(highest, *q[list(body)])[0]
-        _point_to(axes, "ball wheel", (x + 0.14 * share, y + 0.045), (x + 0.01 * share, y + 0.008))
+    highest = np.array([max(scene.supports.target.balls, key=lambda ball: ball[1])])
+    x, y = placed(highest, *q[list(TARGET)])[0]
+    _point_to(axes, "ball wheel", (x + 0.07, y + 0.045), (x + 0.005, y + 0.008))
     _draw_approach(axes, chaser, target)
     axes.set_xlim(chaser[0] - 0.2, pulley[0] + 0.17)
     axes.set_ylim(pulley[1] - 0.04, chaser[1] + 0.15)
@@ -187,9 +183,9 @@ def _draw_symbols(axes: Axes, scene: Scene) -> None:
     _measure(axes, (be[0], low), (0.0, low), "$L_T$")
     _measure(axes, be + (0.022, 0), be + (0.022, cone.R_c), "$R_c$", (0.012, 0.0))
     behind = -0.012 * inwards * (1.0, -1.0)
-    _measure(axes, other[0] + behind, other[1] + behind, "$L_c$, wall", (0.006, -0.036))
-    outside = (0.011, 0.005)
-    _measure(axes, edge[0] + outside, face - (cone.L_T, 0.0) + outside, "b", (0.001, 0.013))
+    _measure(axes, other[0] + behind, other[1] + behind, "$L_c$, wall", (-0.012, -0.042))
+    outside = -0.013 * inwards
+    _measure(axes, edge[0] + outside, face - (cone.L_T, 0.0) + outside, "b", (0.002, 0.012))
     below = -0.03 * side
     _measure(
         axes, hinge - cylinder * along + below, hinge + below, "$L_C$, cylinder", (0.0, -0.014)
@@ -215,11 +211,11 @@ def _draw_symbols(axes: Axes, scene: Scene) -> None:
         ("hinge, torsional\nspring $k_T$, $c_T$", hinge + (-0.05, 0.085), hinge + (-0.002, 0.006)),
         (
             "axial spring and\ndamper $k_A$, $c_A$",
-            hinge + (0.068, -0.07),
+            hinge + (0.066, -0.07),
             hinge + 0.04 * along - 0.009 * side,
         ),
         ("+y wall", edge[1] + (0.038, 0.03), edge[1] + (0.004, 0.004)),
-        ("-y wall", other[1] + (-0.008, -0.024), other[1]),
+        ("-y wall", other[1] + (-0.03, 0.019), other[1] + (-0.002, 0.002)),
     ):
         _point_to(axes, text, place, to)
     axes.plot(*np.array([[q[0], q[1]], [0.0, 0.0]]).T, label="centre of mass", **_CENTRE)
@@ -260,7 +256,7 @@ def _say(axes: Axes, text: str, at: Any, colour: str = style.BLACK, ha: str = "c
 
 
 def save_capture_gif(run: Run, path: Path | str, pictures: int | None = None) -> Path:
-    """Save a capture as a moving picture: the bench, the buffer, and the tip in the cone.
+    """Save a capture as a moving picture: the bench, the buffer, the tip in the cone, the force.
 
     Parameters
     ----------
@@ -280,7 +276,8 @@ def save_capture_gif(run: Run, path: Path | str, pictures: int | None = None) ->
     end = float(run.samples["t"][-1]) if decided is None else decided
     count = pictures or int((end - begin) * _FPS * _SLOWER) + 1
     [plotted] = plotted_runs(run)
-    frames = [_draw_frame(plotted, float(t), end) for t in np.linspace(begin, end, count)]
+    window = (begin, end)
+    frames = [_draw_frame(plotted, float(t), window) for t in np.linspace(begin, end, count)]
     palette = frames[-1].quantize(48)
     small = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     times = [1000 // _FPS] * (len(small) - 1) + [2500]
@@ -289,17 +286,20 @@ def save_capture_gif(run: Run, path: Path | str, pictures: int | None = None) ->
     return path
 
 
-def _draw_frame(plotted: PlottedRun, t: float, end: float) -> Image.Image:
-    """Draw the bench, the buffer and the tip in the cone at one instant."""
+def _draw_frame(plotted: PlottedRun, t: float, window: tuple[float, float]) -> Image.Image:
+    """Draw the bench, the buffer, the tip in the cone and the force at one instant of a window."""
     run, scene = plotted.run, plotted.scene
-    figure = new_figure(9.6, 5.2)
-    grid = figure.add_gridspec(2, 2, width_ratios=[1.7, 1.0], height_ratios=[1.25, 1.0])
-    bench, buffer, cone = (figure.add_subplot(at) for at in (grid[0, 0], grid[1, 0], grid[:, 1]))
+    figure = new_figure(9.6, 7.0)
+    shares = {"width_ratios": [1.7, 1.0], "height_ratios": [1.25, 1.0, 0.9]}
+    grid = figure.add_gridspec(3, 2, **shares)
+    places = grid[0, 0], grid[1, 0], grid[:2, 1], grid[2, :]
+    bench, buffer, cone, force = map(figure.add_subplot, places)
     q = state_at(run, t)
     draw_shapes(bench, [*rail_shapes(scene), *state_shapes(scene, q, plotted.colour)])
     middle = scene.initial.target.x
-    bench.set(xlim=(middle - 0.66, middle + 0.24), ylim=(-0.17, 0.17), aspect="equal")
-    word = verdict(run) if t >= end else f"1/{_SLOWER} of real time"
+    bench.set(xlim=(middle - 0.66, middle + 0.24), ylim=(-0.18, 0.17), aspect="equal")
+    draw_scale(bench, (middle - 0.35, -0.165), 0.1, "100 mm")
+    word = verdict(run) if t >= window[1] else f"1/{_SLOWER} of real time"
     bench.set_title(f"{scene.name}, {t:.2f} s: {word}", fontsize=14, loc="left")
     _draw_buffer(buffer, scene, q, plotted.colour)
     draw_shapes(cone, cone_shapes(scene).values(), 1e3)
@@ -310,11 +310,33 @@ def _draw_frame(plotted: PlottedRun, t: float, end: float) -> Image.Image:
     draw_shapes(cone, [Shape(outline, style.BLACK, 1.0, plotted.colour, order=3.0)], 1e3)
     cone.set(xlim=(-85, 40), ylim=(-80, 80), aspect="equal")
     cone.set_title("the tip in the cone", fontsize=14)
+    draw_scale(cone, (10.0, -72.0), 20.0, "20 mm")
+    _draw_force(force, plotted, t, window)
     for axes in (bench, buffer, cone):
         axes.set_axis_off()
     figure.set_dpi(72)
     figure.canvas.draw()
     return Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")  # type: ignore[attr-defined]
+
+
+def draw_scale(axes: Axes, start: tuple[float, float], length: float, text: str) -> None:
+    """Draw a bar of a length in the units of the axes, with its name."""
+    x, y = start
+    axes.plot([x, x + length], [y, y], color=style.BLACK, lw=3.0, solid_capstyle="butt")
+    above = {"xytext": (0, 4), "textcoords": "offset points"}
+    axes.annotate(text, (x + length / 2, y), ha="center", fontsize=12, **above)
+
+
+def _draw_force(axes: Axes, plotted: PlottedRun, t: float, window: tuple[float, float]) -> None:
+    """Draw the contact force up to an instant, with the peak of every touch."""
+    times, force = plotted.curve(FORCE)
+    axes.plot(times[times <= t], force[times <= t], color=plotted.colour, lw=1.8)
+    axes.axvline(t, color=style.GREY, lw=1.0)
+    dress(axes, font=13.0)
+    axes.set(xlim=window, ylim=(0.0, 1.1 * force.max()))
+    axes.set_xlabel(f"{time_label([plotted])}  [s]")
+    axes.set_ylabel("force  [N]")
+    axes.set_title("contact force, with every touch", fontsize=14, loc="left")
 
 
 def _draw_buffer(axes: Axes, scene: Scene, q: np.ndarray, colour: str) -> None:
@@ -328,6 +350,7 @@ def _draw_buffer(axes: Axes, scene: Scene, q: np.ndarray, colour: str) -> None:
     draw_shapes(axes, [Shape(rest_tip, style.GREY, 1.2, dashed=True, order=3.5), *chaser])
     hinge = scene.buffer.hinge_offset
     axes.set(xlim=(hinge - 0.07, hinge + 0.26), ylim=(-0.05, 0.05), aspect="equal")
+    draw_scale(axes, (hinge + 0.15, -0.045), 0.02, "20 mm")
     stroke, torsion = (q[H] - scene.rest_length) * 1e3, in_chaser[THETA_P] * 1e3
     text = f"the buffer: stroke {stroke:+.1f} mm, torsion {torsion:+.1f} mrad"
     axes.set_title(text, fontsize=14, loc="left")

@@ -14,7 +14,6 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from capture_sim.files import whole_file
@@ -25,8 +24,12 @@ from capture_sim.scene.parts import CONTACT_LAWS, Scene
 from capture_sim.scene.quantities import Declared, declared
 from capture_sim.simulation import simulate
 from capture_sim.viewing import style
-from capture_sim.viewing.canvas import draw_shapes, save
+from capture_sim.viewing.canvas import draw_shapes, save, subplots
+from capture_sim.viewing.curves import HOLDS, plotted_runs, split
+from capture_sim.viewing.drawing import frame_bounds
 from capture_sim.viewing.shapes import cone_shapes, tip_in_cone
+from capture_sim.viewing.source import verdict
+from tools.explain import draw_scale
 
 ROOT = Path(__file__).resolve().parent.parent
 HEAD = """# Scenes
@@ -144,8 +147,9 @@ def catalogue() -> list[str]:
     lines = [
         "## Packaged scenes",
         "",
-        "Path of the tip's centre in the cone, from above; red while it touches a wall, green once",
-        "it is latched. `capture-sim scenes` lists them, `capture-sim show NAME` prints one.",
+        "Path of the tip's centre in the cone, from above: black while free, orange while it",
+        "touches a wall, blue once it is latched. The circle is the capture zone.",
+        "`capture-sim scenes` lists them, `capture-sim show NAME` prints one.",
         "",
         "| scene | title | path of the tip |",
         "|---|---|---|",
@@ -193,22 +197,19 @@ def nodes_page(page: str) -> str:
 
 def draw_scene(name: str) -> Figure:
     """Draw the path of the tip's centre in the cone, in the run of a packaged scene."""
-    run = simulate(name)
-    figure = Figure(figsize=(3.4, 1.9), layout="constrained")
-    axes = figure.subplots()
-    draw_shapes(axes, cone_shapes(run.scene).values())
-    path = tip_in_cone(run.samples)
-    phase = run.samples["phase"]
-    for chosen, color in (
-        (phase < 4, style.BLACK),
-        (phase == 4, style.VERMILION),
-        (phase == 5, style.GREEN),
-    ):
-        shown = np.where(chosen[:, None], path, np.nan)
-        axes.plot(shown[::4, 0], shown[::4, 1], color=color, lw=1.2)
-    axes.set_aspect("equal")
+    [plotted] = plotted_runs(simulate(name))
+    figure, [[axes]] = subplots(3.1, 2.9, grid=None)
+    draw_shapes(axes, cone_shapes(plotted.scene).values(), 1e3)
+    path = tip_in_cone(plotted.samples) * 1e3
+    for hold, colour in zip(HOLDS, (style.BLACK, style.VERMILION, style.BLUE), strict=True):
+        part = split(path, plotted.holds).get(hold)
+        if part is not None:
+            axes.plot(*part[::4].T, color=colour, lw=1.2, zorder=5)
+    draw_scale(axes, (15.0, -62.0), 20.0, "20 mm")
+    (_, _), bounds = frame_bounds(plotted.scene)
+    axes.set(xlim=(-115.0, 40.0), ylim=bounds, aspect="equal")
     axes.set_axis_off()
-    axes.set_title(run.verdict, fontsize=9)
+    axes.set_title(verdict(plotted.run), fontsize=13)
     return figure
 
 

@@ -165,7 +165,10 @@ def clean_environment():
 
 
 class Progress:
-    """Shows each step on one line: live with its seconds on a terminal, else when it is done."""
+    """Shows each step on one line with its seconds: live on a terminal, else every 10 s."""
+
+    #: Between two lines of one step, s, where there is no terminal
+    PERIOD = 10.0
 
     def __init__(self):
         self.live = sys.stdout.isatty()
@@ -178,28 +181,28 @@ class Progress:
     def finish(self, title, process):
         """Wait for a process that writes into the log; raise SetupError when it fails."""
         start = shown = time.monotonic()
-        if not self.live:
-            print(f"  {title} ...", flush=True)
         while True:
             try:
                 status = process.wait(timeout=0.2)
                 break
             except subprocess.TimeoutExpired:
                 now = time.monotonic()
+                line = f"  {title} ... {now - start:.0f} s  {last_line()}"
                 if self.live:
-                    self.rewrite(f"  {title} ... {now - start:.0f} s  {last_line()}")
-                elif now - shown >= 10:
+                    self.rewrite(line)
+                elif now - shown >= self.PERIOD:
                     shown = now
-                    print(f"    {now - start:.0f} s: {last_line()}", flush=True)
+                    print(line, flush=True)
         seconds = time.monotonic() - start
         if status:
             if self.live:
                 self.rewrite("")
             raise SetupError(f"{title}: failed after {seconds:.1f} s")
+        line = f"  {title}: done in {seconds:.1f} s"
         if self.live:
-            self.rewrite(f"  {title}: {seconds:.1f} s\n")
+            self.rewrite(f"{line}\n")
         else:
-            print(f"    done in {seconds:.1f} s", flush=True)
+            print(line, flush=True)
 
     @staticmethod
     def rewrite(line):
@@ -234,7 +237,7 @@ def log_tail(lines):
 
 
 def last_line():
-    """Return the log's last line that says something, in short."""
+    """Return the log's last line that is not empty, shortened."""
     said = [line.strip() for line in log_tail(5) if line.strip() and not line.startswith("===")]
     return said[-1][:60] if said else ""
 
@@ -254,7 +257,7 @@ def install_requirements(progress, wanted):
     with contextlib.suppress(SetupError):
         progress.run("Installer", [*pip, "-c", ROOT / LOCK, "uv"])
     install(progress, "Packages", wanted["packages"])
-    progress.run("Mending", [PYTHON, ROOT / "tools" / "finish_venv.py"])
+    progress.run("ROS libraries", [PYTHON, ROOT / "tools" / "finish_venv.py"])
 
 
 def install_development(progress, wanted):
@@ -268,7 +271,7 @@ def install(progress, title, packages):
     index = pip_index()
     if index:
         env.setdefault("UV_DEFAULT_INDEX", index)
-    # with bytecode: the nodes are many processes, and each would compile it anew where
+    # with bytecode: the nodes are many processes, and each would compile it again where
     # Python may not write it
     uv = [VENV / "bin" / "uv", "pip", "install", "--compile-bytecode", "--python", PYTHON]
     try:

@@ -20,7 +20,7 @@ GROUPS = {
         "fmu": "write a scene as an FMI 3.0 unit or as a library in C",
     },
     "look": {
-        "view": "draw runs as images and for the rerun viewer",
+        "view": "draw runs as plots and for the rerun viewer",
         "report": "write an HTML report of runs",
         "replay": "play a recording with ROS 2",
         "export": "write a recording as CSV, NumPy or Parquet",

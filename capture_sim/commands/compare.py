@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -12,9 +13,9 @@ from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_geometry,
-    add_out,
     add_release,
     add_remaps,
+    folder_beside,
     not_negative,
     open_or_simulate,
     prepare_folder,
@@ -39,7 +40,7 @@ from capture_sim.touches import Touches
 
 DESCRIPTION = (
     "Compare two runs, e.g. measured and simulated, aligned at their first contacts: strokes and "
-    "times, the touches one by one, and the poses over time. Write a diagram. Each number comes "
+    "times, the touches one by one, and the poses over time. Write a plot. Each number comes "
     "from the finest series that both runs have; the table names it. Strokes, torsion and closest "
     "approach cover the whole run, including the latched phase. Scenes given by name are "
     "simulated. With --simulated, compare a recording with its own scene simulated again; the exit "
@@ -80,13 +81,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_geometry(parser)
     add_release(parser)
     add_remaps(parser)
-    add_out(parser, ".", "write the diagram to this folder")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="write the plot to this folder (default: next to the recording A; for a scene, the "
+        "current folder)",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     if options.simulated == (options.b is not None):
         raise RecordingError("compare: must have either a second run B or --simulated")
+    options.out = options.out or folder_beside(options.a)
     prepare_folder(options.out)
     sources = [options.a, *filter(None, [options.b])]
     runs = [
@@ -117,7 +124,7 @@ def _simulated(run: Run) -> Run:
 
 
 def _print_agreement(found: Agreement, recorded: Run) -> None:
-    """Print how far the samples of a recording are those of its scene simulated again."""
+    """Print how far the samples of a recording agree with its scene simulated again."""
     echo(f"{found.compared} of {recorded.state.size} samples compared")
     if found.foreign:
         echo(f"  {found.foreign} samples do not match this run: another publisher or another run")
@@ -165,12 +172,13 @@ def _compare(a: Side, b: Side, labels: list[str], options: argparse.Namespace) -
         for gap in gaps(a.measured, b.measured, a.contact, b.contact, options.window)
     ]
     print_table(["", "rms", "peak", "at s", "source"], rows)
-    with drawing("no diagram: {error}"):
+    with drawing("no plot: {error}"):
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_comparison
 
-        path = options.out / f"{a.run.name}_compared.png"
-        echo(f"diagram in {save(draw_comparison((a, b), labels, over), path)}")
+        against = "simulated" if options.simulated else Path(options.b).stem
+        path = options.out / f"{Path(options.a).stem}_vs_{against}.png"
+        echo(f"plot in {save(draw_comparison((a, b), labels, over), path)}")
 
 
 def _check_window(a: Side, b: Side, window: float) -> float:
@@ -253,7 +261,7 @@ def _print_touches(a: Side, b: Side, window: float) -> None:
     echo(
         f"\ntouches within {window:g} s, paired by wall and time, from "
         f"{_source(a.touch_source, b.touch_source)} (+ or -: the wall; blank: not known; "
-        "a touch without a partner stands alone):"
+        "a touch without a partner has its own row):"
     )
     rows = []
     columns = [list(_touch_rows(touches)) for touches in both]
@@ -276,7 +284,7 @@ def _print_touches(a: Side, b: Side, window: float) -> None:
     head = ["", "A B", "start A, ms", "B", "B - A", "peak A, N", "B", "%", "lasts A, ms", "B"]
     print_table([*head, "impulse A, mN s", "B", "%"], rows[:SHOWN])
     if len(rows) > SHOWN:
-        echo(f"    and {len(rows) - SHOWN} more in the diagram")
+        echo(f"    and {len(rows) - SHOWN} more in the plot")
     for label, touches, other in zip("AB", both, (1, 0), strict=True):
         if touches.start.size:
             impulse = float(touches.impulse.sum())
@@ -309,7 +317,7 @@ def _difference(value: float, sign: str = "+") -> str:
 
 
 def _percent(mine: float, theirs: float, shown: float, digits: int = 1) -> str:
-    """Return the difference in percent of ``mine``; ``-`` where that says nothing.
+    """Return the difference in percent of ``mine``; ``-`` where it has no meaning.
 
     That is where ``mine`` is zero as ``shown`` (its last digit), or is a tenth of the difference.
     """

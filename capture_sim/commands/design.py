@@ -14,10 +14,10 @@ from rich.console import Console
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
-    SEEDS,
     add_limits,
     add_out,
     add_scene,
+    add_seed,
     add_under,
     add_workers,
     dispersions,
@@ -64,10 +64,11 @@ from capture_sim.studies.paper_flow import (
 from capture_sim.tables import print_table
 
 DESCRIPTION = (
-    "Find the buffer that captures within limits with the least peak force, or say what is nearest "
-    "to that among the buffers tried (exit status 1). Limits apply to the whole run, including the "
-    "latched phase. Without limits, the strokes of the scene's own buffer are the limits. With "
-    "--first-contact, design as in the paper: for strokes of the first contact."
+    "Find the buffer that captures within limits with the least peak force. If none does, print "
+    "the buffer that comes closest among the ones tried (exit status 1). Limits apply to the "
+    "whole run, including the latched phase. Without limits, the strokes of the scene's own "
+    "buffer are the limits. With --first-contact, design as in the paper: for strokes of the "
+    "first contact."
 )
 EXAMPLE = """\
   capture-sim design paper_designed --stroke-limit 7.5 --torsion-limit 2
@@ -106,12 +107,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"(default: {','.join(FREE)}). buffer.c_A_rebound keeps its ratio to buffer.c_A unless it "
         "is free",
     )
-    parser.add_argument(
-        "--seed",
-        type=whole(SEEDS),
-        default=1,
-        help="set the seed of the search and of the draws (default: 1)",
-    )
+    add_seed(parser, "the search and of the draws")
     add_under(parser, "require the limits under the distributions of this YAML file")
     parser.add_argument(
         "--confidence",
@@ -192,7 +188,7 @@ def run(options: argparse.Namespace) -> int:
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_design
 
-        echo(f"image in {save(draw_design(design), options.out / 'design.png')}")
+        echo(f"plot in {save(draw_design(design), options.out / 'design.png')}")
     return OK if design.met else FAILED
 
 
@@ -286,7 +282,7 @@ def _candidate_line(candidate: Candidate) -> str:
     )
     return (
         f"{values}  {candidate.peak_force:8.1f} N  {candidate.verdict}"
-        f"{'' if candidate.feasible else f', off by {candidate.violation:.3g}'}"
+        f"{'' if candidate.feasible else f', violates the limits by {candidate.violation:.3g}'}"
     )
 
 
@@ -336,7 +332,7 @@ def _print_whole_run(scene: Scene, outcome: Outcome, limits: Sequence[Limit]) ->
     if text := implausible_stroke(scene, outcome.loads["max_axial_stroke_in"]):
         warn(text)
     if outcome.failure:
-        echo("the loads are those until the run stopped: the design is not shown to hold")
+        echo("the run stopped early: loads until then do not show that limits are kept")
     if outcome.left_again:
         echo("the tip leaves the capture zone again; a latch would hold it")
 
@@ -427,7 +423,7 @@ def _design_first_contact(scene: Scene, options: argparse.Namespace) -> int:
         from capture_sim.viewing.studies import draw_first_contact_design, draw_trade_off
 
         path = options.out / "design.png"
-        echo(f"image in {save(draw_first_contact_design(design), path)}")
+        echo(f"plot in {save(draw_first_contact_design(design), path)}")
         if designs:
             echo(f"trade-off in {save(draw_trade_off(designs), options.out / 'trade_off.png')}")
     return OK if design.met else FAILED

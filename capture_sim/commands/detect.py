@@ -21,7 +21,7 @@ _BENCH_TOLERANCE = 0.1
 
 DESCRIPTION = (
     "Evaluate a recorded run again, from its poses and the state of the buffer. The criteria are "
-    "the recorded ones (capture/criteria), or those of the scene if the recording contains none; "
+    "the recorded ones (capture/criteria), or the scene's if the recording contains none; "
     "--set changes them. With unchanged criteria, the exit status is 1 if the verdict differs from "
     "the recorded one. Times are in s since the release."
 )
@@ -93,12 +93,12 @@ def run(options: argparse.Namespace) -> int:
         return OK
     if recorded.criteria is None:
         echo(
-            "the recording contains no criteria, so those of the scene were used; criteria that "
+            "the recording contains no criteria, so the scene's criteria were used; criteria that "
             "were set on the node may explain the difference"
         )
     else:
         echo(
-            "the criteria are the same: the recording lacks some of the detector's input, or the "
+            "criteria did not change; the recording lacks some of the detector's input, or the "
             "detector has changed"
         )
     return FAILED

@@ -1,6 +1,6 @@
 """Inputs of commands: arguments, scenes, recordings; checked before anything runs.
 
-Recordings and images need libraries that most commands do not: they are imported where they are
+Recordings and plots need libraries that most commands do not: they are imported where they are
 used.
 """
 
@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from capture_sim.commands.output import warn
+from capture_sim.commands.output import echo, warn
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.files import why_not_writable
 from capture_sim.launch.scenes import load_scene, load_scene_text
@@ -135,7 +136,7 @@ def add_experiments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("runs"),
         help="write the results to this folder (default: runs). A recording of the nodes or of a "
-        "bench is never overwritten: the new one and its image get a number after their name. "
+        "bench is never overwritten: the new one and its plot get a number after their name. "
         "results.txt, results.json, overview.png and runs.rrd are replaced by every command that "
         "completes a run",
     )
@@ -163,6 +164,11 @@ def add_out(
     )
 
 
+def folder_beside(source: str) -> Path:
+    """Return the folder that holds a recording, or the current one for a scene."""
+    return Path(source).parent if is_recording(source) else Path()
+
+
 def add_overrides(parser: argparse.ArgumentParser) -> None:
     """Add ``--set PART.FIELD=VALUE``."""
     parser.add_argument(
@@ -177,7 +183,7 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
 
 
 def add_runs(parser: argparse.ArgumentParser) -> None:
-    """Add recordings or scenes to look at, and what the recording of a bench may lack."""
+    """Add recordings or scenes to look at, and options for data that a recording may lack."""
     parser.add_argument(
         "runs", nargs="+", metavar="RUN", help="recorded .mcap files, folders of bags, or scenes"
     )
@@ -229,6 +235,13 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         metavar="LOAD=VALUE",
         help="limit a load of the whole run, or until the latch closes, e.g. max_normal_force=500 "
         "(SI) or max_axial_stroke_in_before_latch='15 mm'; may be repeated",
+    )
+
+
+def add_seed(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add ``--seed``."""
+    parser.add_argument(
+        "--seed", type=whole(SEEDS), default=1, help=f"set the seed of {what} (default: 1)"
     )
 
 
@@ -483,7 +496,8 @@ def open_runs(
 ) -> list[Run]:
     """Open recordings and print their problems, or run scenes given by name.
 
-    No two runs have the same name; a recording's is that of its file or folder.
+    No two runs have the same name; a recording's is that of its file or folder.  Of bit-identical
+    runs that were recorded again (``tilt_0.mcap``, ``tilt_0_2.mcap``), only the newest is returned.
 
     Parameters
     ----------
@@ -507,8 +521,29 @@ def open_runs(
         load_scene(scene)  # also where every recording contains its own
     sources = [file for source in sources for file in _one_run_each(source)]
     runs = [_opened(source, scene, release, remaps) for source in sources]
+    kept = _without_repetitions(runs, sources)
+    runs, sources = [runs[k] for k in kept], [sources[k] for k in kept]
     names = _distinct_names(runs, sources)
     return [run.replaced(name=name) for run, name in zip(runs, names, strict=True)]
+
+
+def _without_repetitions(runs: Sequence[Run], sources: Sequence[str]) -> list[int]:
+    """Return the places of the runs without those that a newer file repeats bit by bit.
+
+    A second ``make run`` leaves every recording twice, and ``view runs/*.mcap`` names all of them.
+    """
+    newest: dict[object, int] = {}
+    for k, (run, source) in enumerate(zip(runs, sources, strict=True)):
+        path = Path(source).resolve()
+        key: object = k
+        if run.is_exact and path.suffix == ".mcap" and path.is_file():
+            key = path.parent, re.sub(r"_\d+$", "", path.stem), run.samples.tobytes()
+        other = newest.setdefault(key, k)
+        if other != k:
+            old, new = sorted((other, k), key=lambda i: Path(sources[i]).stat().st_mtime_ns)
+            echo(f"{sources[old]}: left out, as {sources[new]} is newer and bit-identical")
+            newest[key] = new
+    return sorted(newest.values())
 
 
 def _distinct_names(runs: Sequence[Run], sources: Sequence[str]) -> list[str]:

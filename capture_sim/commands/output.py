@@ -1,6 +1,6 @@
-"""Output of commands: lines, tables, progress, results, images.
+"""Output of commands: lines, tables, progress, results, plots.
 
-Libraries that draw are imported where they are used: a run without images does not wait for
+Libraries that draw are imported where they are used: a run without plots does not wait for
 matplotlib and rerun.
 """
 
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
     from capture_sim.run import Run
 
-#: Image of several runs side by side.
+#: Plot of several runs side by side.
 OVERVIEW = "overview.png"
 #: All runs for rerun.
 RRD = "runs.rrd"
 #: State of a command that was interrupted while it drew.
-IMAGES_MISSING = "the files named above are complete, other images and rerun files are missing"
+IMAGES_MISSING = "the files named above are complete, other plots and rerun files are missing"
 #: Time between two lines of progress without a terminal, s.
 _PAUSE = 10.0
 
@@ -120,7 +120,7 @@ def write_json(path: Path, data: Any) -> Path:
 
 @contextmanager
 def reported_if_interrupted(state: str) -> Iterator[None]:
-    """After Ctrl-C, let the command's last line say what is written and what is not."""
+    """After Ctrl-C, let the command's last line name the files that are complete."""
     try:
         yield
     except KeyboardInterrupt:
@@ -128,8 +128,8 @@ def reported_if_interrupted(state: str) -> Iterator[None]:
 
 
 @contextmanager
-def drawing(lacking: str = "no image: {error}") -> Iterator[None]:
-    """Continue without the image, and print so, if a library that draws is not installed."""
+def drawing(lacking: str = "no plot: {error}") -> Iterator[None]:
+    """Continue without the plot, and print so, if a library that draws is not installed."""
     try:
         yield
     except ImportError as error:
@@ -169,7 +169,7 @@ def draw(
     labels
         One distinct name for each run: that of its recording, as a scene may have several.
     folder
-        Folder of the images.
+        Folder of the plots.
     rrd
         File for rerun; None for ``runs.rrd`` in the folder.
     pictures
@@ -181,7 +181,7 @@ def draw(
         return
     jobs: list[_Job] = []
     if pictures:
-        with drawing("no images: {error}"):
+        with drawing("no plots: {error}"):
             jobs += _picture_jobs(runs, labels, folder)
     path = folder / RRD if rrd is None else rrd
     jobs.append(_Job("rerun file in", _save_rrd, (runs, path, labels, window)))
@@ -215,10 +215,10 @@ def _picture_jobs(runs: Sequence[Run], labels: Sequence[str], folder: Path) -> I
     for run, label in zip(runs, labels, strict=True):
         # the label is the overview's name
         name = f"{label}_run.png" if f"{label}.png" == OVERVIEW else f"{label}.png"
-        yield _Job("image in", _save_picture, (draw_run, run, label, folder / name))
+        yield _Job("plot in", _save_picture, (draw_run, run, label, folder / name))
     if len(runs) > 1:
         yield _Job(
-            "side by side in", _save_picture, (draw_overview, runs, labels, folder / OVERVIEW)
+            "plots side by side in", _save_picture, (draw_overview, runs, labels, folder / OVERVIEW)
         )
 
 

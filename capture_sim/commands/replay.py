@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from capture_sim.commands.inputs import add_out, add_remaps, number, prepare_folder
+from capture_sim.commands.inputs import add_remaps, folder_beside, number, prepare_folder
 from capture_sim.control.pacing import FACTORS
 from capture_sim.errors import RecordingError
 from capture_sim.nodes.supervisor import replay
@@ -17,7 +17,7 @@ from capture_sim.scene.quantities import Range
 DESCRIPTION = (
     "Publish the recorded messages with ROS 2, unchanged and with their timing, in the "
     "ROS_DOMAIN_ID of the environment. The services /player/pause and /player/resume "
-    "(std_srvs/Trigger) and those of simulation_interfaces control the replay."
+    "(std_srvs/Trigger) and the services of simulation_interfaces control the replay."
 )
 EXAMPLE = "  capture-sim replay runs/tilt_0.mcap --rtf 0.1 --start 2.2"
 #: Nodes that can follow a played run.
@@ -54,7 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also start these nodes; their topics are then not played",
     )
     add_remaps(parser)
-    add_out(parser, "replayed", "write the recording of --with recorder to this folder")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="write the recording of --with recorder to this folder (default: replayed, next to "
+        "the recording)",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -76,6 +81,7 @@ def run(options: argparse.Namespace) -> int:
         parameters["remaps"] = options.remaps
     if options.followers:
         parameters["wait_for"] = options.followers
+    folder = options.out or folder_beside(options.recording) / "replayed"
     if "recorder" in options.followers:
-        prepare_folder(options.out)
-    return replay(parameters, options.out)
+        prepare_folder(folder)
+    return replay(parameters, folder)

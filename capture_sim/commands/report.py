@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from capture_sim.commands import OK
-from capture_sim.commands.inputs import add_runs, open_runs, prepare_folder
+from capture_sim.commands.inputs import add_runs, folder_beside, open_runs, prepare_folder
 from capture_sim.commands.output import Progress, echo, reported_if_interrupted
 
 DESCRIPTION = (
@@ -23,9 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out",
         type=Path,
-        default=Path("report.html"),
         metavar="FILE.html",
-        help="write the page to this file, or to report.html in this folder (default: report.html)",
+        help="write the page to this file, or to report.html in this folder (default: next to "
+        "the first recording; for scenes, in the current folder)",
     )
 
 
@@ -33,8 +33,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     from capture_sim.viewing.report import save_report
 
-    is_folder = options.out.is_dir() or not options.out.suffix
-    page = options.out / "report.html" if is_folder else options.out
+    out = options.out or folder_beside(options.runs[0])
+    page = out / "report.html" if out.is_dir() or not out.suffix else out
     prepare_folder(page.parent)
     with reported_if_interrupted(f"{page} is not written"):
         runs = open_runs(options.runs, options.scene, options.release, options.remaps)

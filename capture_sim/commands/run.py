@@ -29,9 +29,7 @@ EXAMPLE = "  capture-sim run tilt_0 tilt_p10 --set buffer.c_A=20 --out runs"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_experiments(parser)
-    parser.add_argument(
-        "--no-record", action="store_true", help="write no recordings and no images"
-    )
+    parser.add_argument("--no-record", action="store_true", help="write no recordings and no plots")
     parser.add_argument(
         "--overwrite",
         action="store_true",

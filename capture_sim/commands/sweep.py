@@ -14,9 +14,9 @@ import numpy as np
 from capture_sim.commands import INTERRUPTED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
-    SEEDS,
     add_limits,
     add_scene,
+    add_seed,
     add_under,
     add_workers,
     dispersions,
@@ -71,8 +71,8 @@ if TYPE_CHECKING:
 DESCRIPTION = (
     "Run a scene over values, distributions or the rows of a table. Print the probability of "
     "capture and of keeping the limits, the percentiles of the loads, the worst runs and the most "
-    "influential inputs. The tolerance is 1e-6 unless --set run.rtol gives another. Verdicts are "
-    "those of the exact motion, without the noise of the scene's sensors."
+    "influential inputs. The tolerance is 1e-6 unless --set run.rtol gives another. Verdicts "
+    "evaluate the exact motion, without the noise of the scene's sensors."
 )
 EXAMPLE = """\
   capture-sim sweep tilt_p10 --vary buffer.c_A=5:30:26 --out runs/damper.csv
@@ -121,9 +121,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="draw independently, or by a Latin hypercube, a Sobol sequence, or Saltelli's design "
         "for Sobol indices (default: random)",
     )
-    parser.add_argument(
-        "--seed", type=whole(SEEDS), default=1, help="set the seed of the draws (default: 1)"
-    )
+    add_seed(parser, "the draws")
     parser.add_argument(
         "--edges",
         type=whole(),
@@ -150,7 +148,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("runs/sweep.csv"),
         metavar="FILE",
-        help="write the table to FILE.csv or FILE.parquet, and images next to it (default: "
+        help="write the table to FILE.csv or FILE.parquet, and plots next to it (default: "
         "runs/sweep.csv)",
     )
 
@@ -202,7 +200,7 @@ def run(options: argparse.Namespace) -> int:
 
         for name, figure in draw_sweep(table, samples.axes, scene.name, indices, limits).items():
             path = options.out.with_name(f"{options.out.stem}_{name}.png")
-            echo(f"image in {save(figure, path)}")
+            echo(f"plot in {save(figure, path)}")
     return OK
 
 
@@ -249,7 +247,7 @@ def _commands(scene: Scene, samples: Samples, options: argparse.Namespace) -> li
 def _indices(
     samples: Samples, table: pandas.DataFrame, options: argparse.Namespace
 ) -> list[Indices]:
-    """Return the Sobol indices of the main loads, where the runs are those of Saltelli's design."""
+    """Return the Sobol indices of the main loads, if the runs are a Saltelli design."""
     if options.sample != "saltelli":
         return []
     drawn = sorted(axis.name for axis in samples.axes if axis.distribution)
@@ -351,7 +349,7 @@ def _probability_text(condition: str, found: Probability) -> str:
 
 
 def _print_limits(table: pandas.DataFrame, limits: Sequence[Limit], *, is_grid: bool) -> None:
-    """Print how often each limit is met, and what is left of it in the worst 5 and 1 % of runs."""
+    """Print how often each limit is met, and its margin in the worst 5 and 1 % of runs."""
     cells = []
     for limit in limits:
         found = limit_probability(table, [limit])

@@ -6,7 +6,13 @@ import argparse
 from pathlib import Path
 
 from capture_sim.commands import OK
-from capture_sim.commands.inputs import add_out, add_runs, number, open_runs, prepare_folder
+from capture_sim.commands.inputs import (
+    add_runs,
+    folder_beside,
+    number,
+    open_runs,
+    prepare_folder,
+)
 from capture_sim.commands.output import (
     IMAGES_MISSING,
     Progress,
@@ -22,16 +28,21 @@ from capture_sim.viewing.figures import pictures_of
 from capture_sim.viewing.source import resolved, resolved_or_not
 
 DESCRIPTION = (
-    "Draw runs: one image of each, one of all side by side, and a file for the rerun viewer. "
+    "Draw runs: one plot of each, one of all side by side, and a file for the rerun viewer. "
     "Scenes given by name are run first."
 )
-EXAMPLE = "  capture-sim view runs/tilt_0.mcap --figures --out pictures"
+EXAMPLE = "  capture-sim view runs/tilt_0.mcap --figures --out plots"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_runs(parser)
-    add_out(parser, ".", "write the images to this folder")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="write the plots to this folder (default: plots next to the first recording, where "
+        "the plots of run and bench stay; for scenes, plots in the current folder)",
+    )
     parser.add_argument(
         "--save",
         type=Path,
@@ -58,6 +69,7 @@ def run(options: argparse.Namespace) -> int:
     window = None if options.window is None else (options.window[0], options.window[1])
     if window is not None and not window[0] < window[1]:
         raise RecordingError(f"--window = {window[0]:g} {window[1]:g} s: must be FROM < TO")
+    options.out = options.out or folder_beside(options.runs[0]) / "plots"
     prepare_folder(options.out)
     if options.save is not None:
         if options.save.suffix != ".rrd":

@@ -44,7 +44,7 @@ class Pacer:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, without a memory of what was paced before."""
+        """Restart; earlier pacing is forgotten."""
         self.t = math.nan
         self.ticks = 0
         self.skipped_delay = 0.0

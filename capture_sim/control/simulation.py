@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import Enum, IntEnum
 from typing import NamedTuple
 
@@ -23,14 +23,12 @@ SLEEP_LIMIT = 0.005
 
 
 class State(IntEnum):
-    """States of a simulation, as in SimulationState.msg."""
+    """States of a simulation, as in SimulationState.msg; those for loading a world have no use."""
 
     STOPPED = 0
     PLAYING = 1
     PAUSED = 2
     QUITTING = 3
-    NO_WORLD = 4
-    LOADING_WORLD = 5
 
 
 class Code(IntEnum):
@@ -38,9 +36,7 @@ class Code(IntEnum):
 
     FEATURE_UNSUPPORTED = 0
     OK = 1
-    NOT_FOUND = 2
     INCORRECT_STATE = 3
-    OPERATION_FAILED = 4
     ALREADY_IN_TARGET_STATE = 101
     INCORRECT_TRANSITION = 103
 
@@ -77,7 +73,7 @@ class CutKind(Enum):
 
 
 class RunCut(Exception):  # noqa: N818  # not an error: the run is to end before its time
-    """The run that is on must end; the text says why."""
+    """The current run must end; the text gives the reason."""
 
     def __init__(self, kind: CutKind, reason: str = "") -> None:
         super().__init__(reason or kind.value)
@@ -88,7 +84,6 @@ class SimulationControl:
     """The state of a simulator or player, and when its next tick may pass.
 
     ``wait`` runs callbacks for s (wall), and raises KeyboardInterrupt if the process is to end.
-    ``states`` can be requested; ``may_reset``: a run can begin again.
     """
 
     def __init__(
@@ -96,14 +91,10 @@ class SimulationControl:
         state: State,
         pacer: Pacer,
         wait: Callable[[float], object],
-        *,
-        states: Sequence[State] = (State.STOPPED, State.PLAYING, State.PAUSED, State.QUITTING),
-        may_reset: bool = True,
     ) -> None:
         self.pacer = pacer
         self.state = state
         self._wait = wait
-        self._states, self._may_reset = tuple(states), may_reset
         self._cut: RunCut | None = None  # the run that is on is to end
         self._is_running = False
         self._served = -math.inf  # s (wall), when callbacks have had their turn
@@ -112,8 +103,8 @@ class SimulationControl:
 
     def set_state(self, target: int) -> Reply:
         """Change the state; a run that is on ends where it is stopped."""
-        if target not in self._states:
-            states = ", ".join(f"{state:d} {state.name.lower()}" for state in self._states)
+        if target not in list(State):
+            states = ", ".join(f"{state:d} {state.name.lower()}" for state in State)
             text = f"state {target}: must be one of {states}"
             return Reply(Code.INCORRECT_TRANSITION, text)
         if self.state is State.QUITTING:
@@ -130,8 +121,6 @@ class SimulationControl:
 
         A playing or paused run stays so; a stopped one is at its start already.
         """
-        if not self._may_reset:
-            return Reply(Code.FEATURE_UNSUPPORTED, "there is no reset: start the replay again")
         if self.state is State.QUITTING:
             return Reply(Code.INCORRECT_STATE, "already quitting")
         both = Scope.TIME | Scope.STATE

@@ -21,7 +21,7 @@ _MAX_LEAD = 2.0
 
 
 class Observation(NamedTuple):
-    """Consistent measurements of all sources at one instant; the values are those of `Source`."""
+    """Consistent measurements of all sources at one instant; keys are values of `Source`."""
 
     t: float
     chaser: Values
@@ -86,14 +86,14 @@ class Aligner:
         self._waiting: deque[tuple[float, Values]] = deque()
 
     def add(self, source: Source, t: float, values: Values) -> None:
-        """Add a measurement of a time, s; those of a source come in the order of their times."""
+        """Add a measurement of a time, s; times of each source must increase."""
         if source is Source.CHASER:
             self._waiting.append((t, values))
         else:
             self._tracks[source].add(t, values)
 
     def values_between(self, source: Source, begin: float, end: float) -> list[Values]:
-        """Return what a source has measured between two times, without these, s."""
+        """Return a source's measurements between two times, s, both excluded."""
         track = self._tracks[source]
         return track.values[bisect_right(track.times, begin) : bisect_left(track.times, end)]
 

@@ -411,9 +411,9 @@ _REASONS = {
     Cause.PASSED_THROAT: "tip passed BE",
     Cause.DWELT: "within {radius:g} mm of BE for {dwell:g} s",
     Cause.RETREATED: "retreated {leave:g} mm from {value:.2f} mm",
-    Cause.PASSED_BESIDE: "tip passed BE {value:.2f} mm beside the axis",
+    Cause.PASSED_BESIDE: "tip passed BE {value:.2f} mm off the axis",
     Cause.AT_REST: "at rest {value:.2f} mm from BE",
-    Cause.MOVED_AWAY: "moved away without contact, {value:.2f} mm from BE at the nearest",
+    Cause.MOVED_AWAY: "moved away without contact; closest approach to BE {value:.2f} mm",
     Cause.LEFT_ZONE: "within {radius:g} mm of BE for {dwell:g} s, {outside}: {value:.2f} mm",
     Cause.CAME_OUT: "tip passed BE, {outside}: {value:.2f} mm",
     Cause.END_NOT_APPROACHING: "run ended without contact, tip {value:.2f} mm from BE",
@@ -425,7 +425,7 @@ _REASONS = {
     Cause.NOT_MEASURED: "nothing was measured",
     Cause.CLOCKS_DIFFER: "clocks of the sources differ by {value:.0f} ms",  # value: s
     Cause.CONTACT_UNSEEN: (
-        "moved away, {value:.2f} mm from BE at the nearest, after a gap in the measurements "
+        "moved away; closest approach to BE {value:.2f} mm, after a gap in the measurements "
         "in which it may have met the cone"
     ),
     Cause.JUMPED: "the poses of a vehicle jumped by {value:.2f} mm and stayed there",

@@ -197,7 +197,7 @@ class CaptureDetector:
         return self._take(self._sequencer.add(source, stamp, values))
 
     def finish(self, *, cut: bool = False) -> list[CaptureStatus]:
-        """Close the run; return the remaining statuses, that of the end last.
+        """Close the run; return the remaining statuses, ending with the final one.
 
         The last status is that of the last measurement: a verdict, or undecided.  It is final,
         unless a cut run has no verdict.  If nothing was measured, its numbers are NaN and its
@@ -360,7 +360,7 @@ class CaptureDetector:
                 _enter(memory, CaptureState.UNDECIDED, Cause.JUMPED, jump.t, jump.distance)
 
     def _note_gap(self, before: Place, after: Place) -> None:
-        """Note that it is unknown what the tip did between two places."""
+        """Note that the tip's path between two positions is unknown."""
         memory, criteria = self._memory, self._criteria
         memory.zone_since = memory.still_since = math.nan
         self._t_gap_end = after.t

@@ -80,7 +80,7 @@ def largest_speed(scene: Scene) -> float:
 
 
 class Pose(NamedTuple):
-    """Pose of a vehicle at a time, s; the values are those of a :class:`Source`."""
+    """Pose of a vehicle, a :class:`Source`, at a time, s."""
 
     t: float
     values: Values
@@ -133,7 +133,7 @@ class Gate:
         return max(x, y), theta
 
     def add(self, t: float, values: Values, speed: float) -> list[Pose]:
-        """Add a pose; return those that are passed on.
+        """Add a pose; return the poses that are passed on.
 
         ``speed``: relative speed of the vehicles that an impact may have, m/s.
         """
@@ -262,7 +262,7 @@ class Gate:
             self.velocity = ((x - x0) / dt, (y - y0) / dt, turn / dt)
 
     def _choose(self, chosen: _Run | None) -> list[Pose]:
-        """Pass on a run and those before that it can be reached from; reject the others."""
+        """Pass on a run and every earlier run from which it can be reached; reject the others."""
         passed: list[Pose] = []
         for run in self._held:
             is_between = (

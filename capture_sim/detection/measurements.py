@@ -76,7 +76,7 @@ class Measurement(NamedTuple):
 
 
 class Counts:
-    """Numbers of measurements that were received, and of those that were not used.
+    """Numbers of measurements that were received, and of rejected measurements.
 
     A measurement that is missing at an instant of the chaser's counts as a gap of its source.
     Numbers that were received are not known of a recorded status.
@@ -137,7 +137,7 @@ class Sequencer:
         self._first: int | None = None
 
     def add(self, source: Source, stamp: int, values: Values) -> list[Measurement]:
-        """Add a measurement of stamp ``stamp``, ns; return those that are next in order."""
+        """Add a measurement of stamp ``stamp``, ns; return the measurements next in order."""
         self._counts.received[source] += 1
         size = source.size
         if not all(map(math.isfinite, values)):

@@ -76,7 +76,7 @@ def detect_received(
 
 
 def received_in(series: SeriesBySource) -> list[Received]:
-    """Return what simulated sensors have measured in a run; poses are exact without motion capture.
+    """Return measurements of a run's simulated sensors; without motion capture, poses are exact.
 
     They are in the order of their times, and as exact as the sensors.
     """

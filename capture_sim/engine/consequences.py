@@ -226,7 +226,7 @@ def follow_jump(w, i):
 
 @kernel
 def end_slide(w):
-    """Count what friction in the slide has dissipated since the probe began to slide."""
+    """Add the energy that friction in the slide dissipated since the probe began to slide."""
     mode, totals, y = w.system.mode, w.totals, w.stepper.y
     slid = mode.slide_direction * (y[4] - totals.slide_from)
     totals.lost_slide += w.system.par.slide_friction * slid
@@ -270,7 +270,7 @@ def turn_slide(w):
 
 @kernel
 def release_probe(w):
-    """Let a held probe slide, to the side to which its load exceeds what holds it."""
+    """Let a held probe slide, to the side to which its load exceeds the holding force."""
     y, kind = w.stepper.y, EventKind.UNSEATED
     load = held_load(y, w.system)
     lower, upper = hold_limits(y, w.system)

@@ -67,7 +67,7 @@ def make_dense(w):
 
 @inline_kernel
 def distance_to_edge(px, py, wx, wy, par):
-    """Return the distance of the tip's centre to that of BE, m, and its rate, m/s."""
+    """Return the distance of the tip's centre to the centre of BE, m, and its rate, m/s."""
     ux = px + par.L_T
     distance = math.sqrt(ux * ux + py * py)
     rate = 0.0
@@ -102,7 +102,7 @@ def write_distances(w, px, py, wx, wy):
 
 @kernel
 def measure_distances(w, y):
-    """Write the distances at ``y`` as those at the end of the present step."""
+    """Write the distances at ``y`` as the distances at the end of the present step."""
     px, py, wx, wy = tip_in_cone(y, w.system.par)
     write_distances(w, px, py, wx, wy)
 
@@ -119,7 +119,7 @@ def measure_new_state(w):
 
 @kernel
 def advance_distances(step):
-    """Make the distances at the end of the step those at the start of the next one."""
+    """Copy the distances at the end of the step to the start of the next one."""
     for i in range(3):
         step.start.gap[i] = step.end.gap[i]
         step.start.gap_rate[i] = step.end.gap_rate[i]

@@ -26,7 +26,7 @@ typedef enum { CS_REAL = 0, CS_INTEGER = 1, CS_BOOLEAN = 2 } cs_type;
 typedef struct {
   const char *name;
   const char *unit;
-  const char *meaning; /* in words; empty if the name says it */
+  const char *meaning; /* in words; empty if the name is enough */
   cs_type type;
   const char *range; /* as text; NULL for inputs and outputs */
   double start;
@@ -39,8 +39,8 @@ typedef enum {
   CS_OK = 0,
   CS_EVENT = 1,    /* stopped at an event before the time asked for */
   CS_ENDED = 2,    /* the run is over: run.t_end, or run.after_latch after the latch closed */
-  CS_FAILED = 3,   /* the run cannot continue; cs_message says why */
-  CS_REJECTED = 4, /* a value or time is not allowed; cs_message says why */
+  CS_FAILED = 3,   /* the run cannot continue; cs_message gives the reason */
+  CS_REJECTED = 4, /* a value or time is not allowed; cs_message gives the reason */
 } cs_result;
 
 /* Bytes of an instance, to be aligned as malloc aligns. */

@@ -119,7 +119,7 @@ def _detect() -> str:
 
 
 def _keep_only(entry: str, module: llvm.ModuleRef) -> None:
-    """Give a function its name, and hide everything else, so that what it does not call goes.
+    """Give a function its name, and hide everything else, so that unused functions are removed.
 
     Next to the function itself, the module has a wrapper that reports exceptions to Python.
     """

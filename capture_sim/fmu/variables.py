@@ -17,7 +17,7 @@ from capture_sim.scene.quantities import ANY, Range, declared
 
 #: Springs and dampers of the buffer: any value of these makes the buffer's general law apply.
 _BUFFER = ("k_A", "c_A", "k_T", "c_T", "k_A3", "c_A2", "c_A_rebound", "k_T3", "c_T2")
-#: Other fields of a scene whose value stands in the record as it is, with the record's name.
+#: Other fields of a scene whose value is in the record unchanged, with the record's name.
 _OTHERS = {
     "contact.hysteresis_factor": "hysteresis",
     "friction.mu": "mu",

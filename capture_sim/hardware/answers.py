@@ -86,7 +86,7 @@ class Answers:
             self._rest.append(wrench)
             return None
         elif stamp <= self.latest.stamp:
-            reason = "not newer than the one before"
+            reason = "not newer than the previous wrench"
         else:
             self.latest = Answer(stamp, self.tared(wrench), tip)
             return self.latest

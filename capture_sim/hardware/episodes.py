@@ -126,7 +126,7 @@ class Episodes:
         self._course = _Course(states, wall, states[-1].energy)
 
     def end(self, rows: np.ndarray, noise: float, threshold: float) -> None:
-        """End the present episode and begin the fit of what the rig has measured in it.
+        """End the present episode and begin the fit of the rig's measurements in it.
 
         ``rows`` as for :func:`fit_touch`; ``noise`` and ``threshold``, N.
         """

@@ -27,7 +27,7 @@ _FOUND = 2.0
 
 @dataclass(frozen=True)
 class LawEstimate:
-    """A law, and what is known of it."""
+    """A fitted law with its uncertainty."""
 
     law: WallLaw  # of the walls; never generates energy
     lag: float = 0.0  # s, by which the force is later than the tip's position that came with it

@@ -120,7 +120,7 @@ class Guard:
         _check("torque on the rig", wrench.torque, "N m", self._limits.torque)
 
     def check_answer(self, reading: Wrench, push: float, wall: Penetration, lag: float) -> None:
-        """Check what belongs together: a raw reading, its force off the wall (N), and the tip then.
+        """Check one instant: a raw reading, its force off the wall (N), and the tip's position.
 
         ``lag``: by how much the tip may be behind that, s.
         """

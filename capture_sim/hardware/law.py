@@ -169,7 +169,7 @@ class Walls:
         return Penetration(self._radius - distance, rate, nx, ny, slip, distance)
 
     def wrench(self, law: WallLaw, tip: TipState) -> Wrench:
-        """Return what walls of this law do to the tip."""
+        """Return the force of walls of this law on the tip."""
         fx = fy = torque = 0.0
         for wall in self.penetrations(tip):
             depth = wall.depth + law.offset

@@ -102,12 +102,12 @@ class Loop:
 
     @property
     def t(self) -> float:
-        """Time of the newest position, s: that of the vehicles, below 0 during the run-up."""
+        """Time of the vehicles' newest position, s; below 0 during the run-up."""
         return self._index * self.stage.step
 
     @property
     def energy_excess(self) -> float:
-        """The most that the loop has added to the vehicles, J."""
+        """Largest energy that the loop has added to the vehicles so far, J."""
         return self._guard.excess
 
     @property
@@ -223,7 +223,7 @@ class Loop:
         episodes.work()
 
     def _wrench(self) -> Wrench:
-        """Return what acts on the vehicles from outside in the next step."""
+        """Return the external wrench on the vehicles in the next step."""
         answer = self.answers.latest
         measured = answer.wrench if self._rig_in_touch else NO_WRENCH
         if self.method != "model":
@@ -254,7 +254,7 @@ class Loop:
         self._max_residual = law.peak_force(mass, speed)
 
     def _record(self, answer: Answer, reading: Wrench) -> None:
-        """Note what the rig has measured, and whether it is in contact."""
+        """Note the rig's measurement, and whether it is in contact."""
         index = round(answer.stamp / self.stage.step)
         sent = self._sent.get(index)
         if sent is None:

@@ -1,4 +1,4 @@
-"""The report of a loop: what was measured, as data and in words."""
+"""The report of a loop: its measurements, as data and in words."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Timing:
 
 
 def report_of(loop: Loop, pacer: Pacer | None, timing: Timing, stopped: str) -> dict[str, Any]:
-    """Return the measured values, of types that JSON has; None for what is not known."""
+    """Return the measured values, of types that JSON has; None for an unknown value."""
     rejections = dict(loop.answers.rejections)
     is_known = loop.known_lag is not None
     return {

@@ -63,7 +63,7 @@ IDEAL = (Servo(0.0, 0.0), Cell(0.0, 0.0, 0.0, 0.0, 0.0), Transport(0.0, 0.0, 0.0
 
 @dataclass
 class Rig:
-    """Walls of a law on a rig of the real kind; its time is that of the positions it is sent."""
+    """Walls of a law on a simulated rig; its clock follows the positions sent."""
 
     scene: Scene  # whose cone it is
     law: WallLaw  # of the walls
@@ -141,7 +141,7 @@ class Rig:
         self._tip = tip
 
     def _feel(self, tip: TipState, h: float) -> None:
-        """Note what the walls do to the tip, as the cell's filter passes it."""
+        """Note the walls' force on the tip behind the cell's filter."""
         contact = self._walls.wrench(self.law, tip)
         self.peak_force = max(self.peak_force, contact.force)
         share = -math.expm1(-h * 2.0 * math.pi * self.cell.cutoff) if self.cell.cutoff else 1.0
@@ -152,7 +152,7 @@ class Rig:
             self._contacts.popleft()
 
     def _measured(self, pose: TipState) -> Answer:
-        """Return what is sent for a position: the cell's reading, and where the tip is."""
+        """Return the reply to a position: the cell's reading and the tip's position."""
         cell = self.cell
         contact = self._contacts[0][1] if self._contacts else NO_WRENCH
         noise = self._rng.normal(size=6) * np.repeat([cell.noise, cell.torque_noise], 3)

@@ -25,7 +25,7 @@ _tip_motion = plain(tip_motion)
 
 
 class SafeStopError(CaptureSimError):
-    """The loop must be opened; the message says why."""
+    """The loop must be opened; the message gives the reason."""
 
 
 class StageState(NamedTuple):

@@ -83,7 +83,7 @@ def with_approach(approach: Approach, given: Mapping[str, float]) -> Approach:
 
 
 def approached(scene: Scene, given: Mapping[str, Any]) -> Scene:
-    """Return a scene whose chaser comes as given; what is not given is the scene's own approach.
+    """Return a scene with this approach; values not given stay those of the scene.
 
     SceneError if a name or a value is invalid.
     """

@@ -100,7 +100,7 @@ class TravelFit:
 
 
 class BenchWatch:
-    """Follows a launch on a bench from its poses; see :class:`Launcher` for what it decides."""
+    """Follows a launch on a bench from its poses; see :class:`Launcher` for its decisions."""
 
     def __init__(self, launcher: Launcher, scene: Scene) -> None:
         self._launcher, self._scene = launcher, scene
@@ -239,7 +239,7 @@ class BenchWatch:
         )
 
     def _unseen(self) -> str:
-        """Return why nobody measured the impact speed; empty if poses cover the approach."""
+        """Return why the impact speed is unknown; empty if poses cover the approach."""
         if self._late_by > 0.0 and not math.isfinite(self._fit_end):
             return f"impact speed not measured: poses begin {self._late_by:.3g} s after the release"
         return unseen_impact(self._contact_travel - CONTACT_DISTANCE - self._fit_end)

@@ -1,7 +1,7 @@
-"""The output launcher/hold: when it is sent, and what its silence means.
+"""The output launcher/hold: when it is sent, and the meaning of its silence.
 
 A driver holds its chaser when the last message is older than :data:`HOLD_TIMEOUT`.  The thread that
-decides also sends: a launcher that has stalled falls silent, and does not go on to let go.
+decides also sends: a stalled launcher sends nothing, so it cannot let go.
 """
 
 from __future__ import annotations

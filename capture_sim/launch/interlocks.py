@@ -1,4 +1,4 @@
-"""The measurements that a trial relies on: how fresh they are, and what may not go on without them.
+"""Interlocks: the age of the measurements that a trial relies on, and its limits.
 
 :class:`Interlocks` sees each pose and buffer state, and nothing is let go around it.
 """
@@ -81,7 +81,7 @@ class SourceMonitor:
         return now - self._last_new
 
     def has_two_clocks(self, now: float) -> bool:
-        """Return True if the stamps jump to and fro, as those of two publishers do."""
+        """Return True if the stamps jump to and fro, as from two publishers."""
         steps = self._steps_back
         return len(steps) == MIN_STEPS_BACK and steps[0] > now - CLOCK_WINDOW
 
@@ -122,7 +122,7 @@ class Interlocks:
         self._mismatches = dict(mismatches)
 
     def begin(self) -> None:
-        """Choose the topics anew: a trial begins."""
+        """Choose the topics again at the start of a trial."""
         self._chosen.clear()
 
     def choose(self, sensor: Sensor, topic: str) -> bool:
@@ -180,7 +180,7 @@ class Interlocks:
         return self.monitors[self._best(sensor)].age(now)
 
     def _conflict(self, sensor: Sensor) -> str:
-        """Return that several nodes publish what a sensor measures; empty if one does.
+        """Return the complaint that several nodes publish one sensor's topics; empty if one does.
 
         One of them is a simulator or a player that somebody has started: which one is used would
         be chance.
@@ -195,7 +195,7 @@ class Interlocks:
         )
 
     def _stale_text(self, sensor: Sensor, now: float, limit: float) -> str:
-        """Name the topic, its age, and what is wrong with its publishers."""
+        """Name the topic, its age, and the fault of its publishers."""
         topics = self._topics[sensor]
         best = self._best(sensor)
         age = self.monitors[best].age(now)

@@ -84,7 +84,7 @@ class MeasuredLoads:
     _rest_count: int = 0
 
     def add_force(self, force: tuple[float, float, float], *, is_released: bool) -> None:
-        """Note a force, N; the mean of those before the release is the sensor's offset."""
+        """Note a force, N; the mean force before the release is the sensor's offset."""
         if not all(map(math.isfinite, force)):
             return
         if not is_released:
@@ -132,6 +132,7 @@ class Trial:
         self._interlocks, self._limits = interlocks, interlocks.limits
         interlocks.begin()
         self._has_actuator = has_actuator
+        self.set_launch(launcher.tolerance, aborts=launcher.aborts)
         self._lacks_client = needs_client
         self._silent = -math.inf  # s, when a silence of launcher/hold was last noted,
         self._silence = ""  # ... and one after the release
@@ -173,7 +174,7 @@ class Trial:
 
     @property
     def impact_speed(self) -> float:
-        """Speed of the chaser at the first contact, m/s; NaN if nobody measured it."""
+        """Speed of the chaser at the first contact, m/s; NaN if not measured."""
         status = self.launcher.status
         is_delivered = status.state is LauncherPhase.DELIVERED
         return status.measured_speed if is_delivered else math.nan
@@ -275,6 +276,11 @@ class Trial:
         if not self.holds:
             self._silence = f"launcher/hold: silent for {silence:.3g} s: must be at most {limit:g}"
 
+    def set_launch(self, tolerance: float, *, aborts: bool) -> None:
+        """Use other settings of the launch, see :class:`Launcher`; by hand none aborts."""
+        self.launcher.tolerance = tolerance
+        self.launcher.aborts = aborts and self._has_actuator
+
     def cancel(self, reason: str = CANCELLED) -> None:
         """End the trial and hold the chaser, at the next :meth:`advance`."""
         self._cancelled = self._cancelled or reason
@@ -282,7 +288,7 @@ class Trial:
     # decisions
 
     def advance(self, now: float) -> list[TrialStep]:
-        """Decide by what is known at ``now``, s; return what the caller has to do, in order."""
+        """Decide at ``now``, s; return the actions for the caller, in order."""
         steps: list[TrialStep] = []
         while True:
             before = self._phase, self._is_announced
@@ -347,7 +353,7 @@ class Trial:
             if is_at_cone or may_touch or self.verdict == _CONTACT:
                 self._watch.note_contact()
                 self._enter(TrialPhase.CONTACT, now)
-            elif self._has_actuator and self.launcher.status.state is LauncherPhase.ABORTED:
+            elif self.launcher.status.state is LauncherPhase.ABORTED:
                 return self._fail(self.launcher.status.reason, now)
             elif reason or self._silence:
                 return self._fail(reason or self._silence, now)

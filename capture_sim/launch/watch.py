@@ -92,7 +92,7 @@ class LaunchObservation(NamedTuple):
     is_slack: bool  # the mass has landed
     has_touched: bool  # the tip has met the cone
     speed_deviation: float = 0.0  # m/s, standard deviation of ``speed``
-    unseen: str = ""  # why nobody measured the speed at the first touch
+    unseen: str = ""  # why the speed at the first touch is unknown
 
 
 class Launcher:

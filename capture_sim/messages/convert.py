@@ -122,7 +122,7 @@ class RunDescription:
         announcer: str = "",
         participants: Sequence[str] = (),
     ) -> RunDescription:
-        """Describe a run of a scene; the software is that of this process unless given."""
+        """Describe a run of a scene; ``software`` defaults to this process's versions."""
         return cls(
             run_id=run_id,
             name=scene.name,

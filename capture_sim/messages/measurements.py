@@ -108,7 +108,7 @@ class DetectorInput:
 
     @property
     def topics(self) -> dict[Topic, Source]:
-        """The topics that are read, and what each of them measures."""
+        """The topics that are read, and the quantity that each of them measures."""
         return self._sources
 
     def read(self, topic: Topic, data: bytes) -> tuple[Source, int, Values] | None:
@@ -133,7 +133,7 @@ class NoJointsError(MessageError):
 
 
 def _joints(message: Any) -> Values:
-    """Return what sensor_msgs/JointState says of the buffer; rates only where it has them."""
+    """Return the state of the buffer from sensor_msgs/JointState; rates only if present."""
     try:
         slide, hinge = (list(message.name).index(name) for name in (SLIDE_JOINT, HINGE_JOINT))
         values: Values = (message.position[slide], message.position[hinge])
@@ -150,6 +150,6 @@ def pose_values(x: float, y: float, qz: float, qw: float) -> Planar:
 
 
 def twist_values(theta: float, vx: float, vy: float, omega: float) -> Planar:
-    """Return velocity (m/s) and rate (rad/s) in the world of those in the own frame."""
+    """Transform velocity (m/s) and rate (rad/s) from the own frame to the world."""
     c, s = math.cos(theta), math.sin(theta)
     return c * vx - s * vy, s * vx + c * vy, omega

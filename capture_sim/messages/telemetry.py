@@ -79,7 +79,7 @@ class ContactInterval:
         self._message_before = -math.inf
 
     def add_event(self, event: Event) -> None:
-        """Take in an event; those that end a touch count."""
+        """Add an event; only ends of touches count."""
         if event.touch is not None and event.touch["peak_time"] > self._message_before:
             self._peak = max(self._peak, float(event.touch["peak_force"]))
 
@@ -88,7 +88,7 @@ class ContactInterval:
         self._peak = max(self._peak, force)
 
     def take(self, t: float, impulse: float, touches: int) -> tuple[float, float, int]:
-        """Return largest force (N), impulse (N s) and touches begun since, and start anew.
+        """Return peak force (N), impulse (N s) and touches begun since the last call; then reset.
 
         ``t`` (s), ``impulse`` and ``touches`` are the sample's, since the release.
         """
@@ -158,7 +158,7 @@ class _Stream:
 
 
 class _StatusStream(_Stream):
-    """A stream of statuses, and a transient-local topic for those that change the state."""
+    """A stream of statuses, and a transient-local topic for changes of state."""
 
     stream: Topic
     changes: Topic  # transient local
@@ -220,7 +220,7 @@ class BenchTelemetry(_Stream):
         self._trace = np.zeros(0, SAMPLE)  # points that wait for a later sample
 
     def begin(self) -> Sent:
-        """Return what comes before the first sample."""
+        """Return the messages before the first sample."""
         self.by_topic[topics.RUN_INFO] += 1
         info = self._messages.run_info(self._run)
         return Sent(topics.RUN_INFO, convert.stamp_ns(0.0), self._messages.serialise(info))
@@ -264,7 +264,7 @@ class BenchTelemetry(_Stream):
         yield from self._traced(float(self._trace["t"].max(initial=0.0)), len(self._trace))
 
     def cut(self, made: Mapping[Topic, int], sent: Mapping[Topic, int]) -> None:
-        """Forget what was made ahead when a run is cut: no node is to wait for it.
+        """Discard messages made ahead when a run ends early: no node is to wait for them.
 
         ``made``: the counts when sending began; ``sent``: how many of each topic were sent since.
         """
@@ -292,7 +292,7 @@ class BenchTelemetry(_Stream):
     def _since_last(
         self, samples: np.ndarray, before: Mapping[int, Sequence[Event]], periodic: range
     ) -> Columns:
-        """Return what the contact did since the last message, for each periodic sample."""
+        """Return the contact since the last message, for each periodic sample."""
         interval, since = self._interval, []
         impulses, touches = samples["impulse"].sum(axis=1).tolist(), samples["touches"].tolist()
         forces, times = samples["normal_force"].max(axis=1).tolist(), samples["t"].tolist()
@@ -335,7 +335,7 @@ class BenchTelemetry(_Stream):
         )
 
     def _sensed(self, samples: np.ndarray) -> Iterator[list[Sent]]:
-        """Yield what the sensors read at each sample; nothing without sensors."""
+        """Yield the sensors' readings at each sample; nothing without sensors."""
         if self._sensors is None:
             return
         read = [self._sensors.read(sample) for sample in samples]

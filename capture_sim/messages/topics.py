@@ -25,7 +25,7 @@ class RunSource(StrEnum):
     TRIAL = "trial"  # of a real bench
 
 
-#: Output of the launcher for a real release, std_msgs/Bool, true holds; nobody else publishes it.
+#: Output of the launcher for a real release, std_msgs/Bool, true holds; no other node publishes it.
 HOLD = "launcher/hold"
 
 
@@ -60,6 +60,11 @@ class Topic:
     transient_local: bool = False  # late subscribers get the last ``depth`` messages
     stamp: Stamp = Stamp.HEADER
     sequenced: bool = False  # a ``uint64 seq`` follows the header and counts from 0 without gaps
+
+    @property
+    def holds_state(self) -> bool:
+        """True if only the newest message counts: DDS may replace one before it is delivered."""
+        return self.transient_local and self.depth == 1 and self.rate is Rate.EVENT
 
     @property
     def absolute_name(self) -> str:

@@ -123,7 +123,7 @@ def make_system(parameters: np.ndarray) -> np.ndarray:
 
 
 def hold_at_rest(parameters: np.void) -> Hold:
-    """Return what holds the probe of a buffer at rest, at its rest length."""
+    """Return the force that holds the probe of a buffer at its rest length."""
     if parameters["preload"] > 0.0:
         return Hold.SEAT
     return Hold.FRICTION if parameters["slide_friction"] > 0.0 else Hold.NONE

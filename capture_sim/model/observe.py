@@ -61,7 +61,7 @@ def elastic_contact_energy(gap, K, exponent):
 
 @kernel
 def mechanical_energy(y, system):
-    """Return the kinetic energy and that of all springs of buffer, stops, contact and latch, J."""
+    """Return the kinetic energy, and that of the springs of buffer, stops, contact and latch, J."""
     par, mode = system.par, system.mode
     stroke = y[4] - par.h_0
     axial, torsion = buffer_energy(stroke, y[3] - y[2], par)

@@ -15,8 +15,6 @@ from capture_sim.nodes.endpoints import full_name
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.roll import Part, Roll, node_of, run_key
 
-#: A node that has just joined the roll is heard within this long, s (wall).
-HEARING_TIMEOUT = 2.0
 #: After a run the participants get this long to close their files, s (wall).
 END_TIMEOUT = 60.0
 #: A node of the user's is there once its subscriptions have not changed for this long, s (wall).
@@ -117,7 +115,7 @@ class Announcer:
         )
 
     def close(self) -> None:
-        """Announce that no run is on; its description stays for those that come later."""
+        """Announce that no run is on; its description stays for later subscribers."""
         self._is_on = False
         if self._description is not None:
             info = self._node.messages.run_info(replace(self._description, run_id=""))
@@ -130,7 +128,7 @@ class Announcer:
         limit: float | None,
         check: Callable[[], None] | None = None,
     ) -> None:
-        """Wait until ``pending`` returns nothing; log what it returns, at growing intervals.
+        """Wait until ``pending`` returns nothing; log its result at growing intervals.
 
         CaptureSimError after ``limit`` s (wall).
         """
@@ -152,13 +150,13 @@ class Announcer:
             raise _beside([part.node])
 
     def _check_trials(self) -> None:
-        """Raise CaptureSimError during a trial: its nodes would read what this one publishes."""
-        self._node.wait(lambda: not self._roll.unheard(), HEARING_TIMEOUT)
+        """Raise CaptureSimError during a trial, whose nodes would read this node's topics."""
+        self._roll.await_heard()
         if nodes := self._roll.in_trials():
             raise _beside(nodes)
 
     def _missing(self) -> str:
-        """Return what a run still waits for before it."""
+        """Return the nodes that a run still waits for before its start."""
         free = self._roll.free(self._source)
         others = [name for name in self._wait_for if not any(part.is_called(name) for part in free)]
         return _listed("to start", [name for name in others if not self._is_reading(name)])
@@ -200,7 +198,7 @@ def _is_named(node: str, name: str) -> bool:
 
 def _beside(nodes: Sequence[str]) -> CaptureSimError:
     return CaptureSimError(
-        f"{', '.join(nodes)} in a trial of a real bench: nothing is published beside it; wait for "
+        f"{', '.join(nodes)} in a trial of a real bench: nothing else may publish; wait for "
         "its end, or use another ROS_DOMAIN_ID or namespace"
     )
 

@@ -43,13 +43,16 @@ READ = (
     *(CHASER_ODOMETRY, TARGET_ODOMETRY, CHASER_POSE, TARGET_POSE),
     *(BUFFER_STATE, JOINT_STATES),
 )
+#: A trial begins without measurements after this long, s (wall), e.g. where cameras see the cone
+#: alone.
+SOURCES_TIMEOUT = 3.0
 CRITERION = {field.name: field for field in fields(Detector)}
 
 
 class CaptureDetectorNode(BenchNode):
     """Publishes a status for every instant at which the poses were measured.
 
-    The decisions are those of :mod:`capture_sim.detection`.
+    docs/detection.md explains the criteria.
     """
 
     # of the run that is on
@@ -68,11 +71,11 @@ class CaptureDetectorNode(BenchNode):
         )
         self._readers = {topic: MeasurementReader(topic) for topic in READ}
         self._follower = Follower(self, CAPTURE_DETECTOR, self, list(RunSource))
-        by_source: dict[str, list[Topic]] = {}
+        self._by_source: dict[Source, list[Topic]] = {}
         for topic, source in OF_A_BENCH.items():
-            by_source.setdefault(source.value, []).append(topic)
+            self._by_source.setdefault(source, []).append(topic)
         self._diagnostics = SourceDiagnostics(self)
-        for topics in by_source.values():
+        for topics in self._by_source.values():
             self._diagnostics.watch(*topics)
         self.every(PERIOD, self._compare_clocks)
         self._monitors = {topic: SourceMonitor() for topic in OF_A_BENCH}
@@ -95,7 +98,7 @@ class CaptureDetectorNode(BenchNode):
         return self._follower.work()
 
     def prepare(self, run: AnnouncedRun) -> None:
-        """Start anew for the scene of this run."""
+        """Restart for the scene of this run."""
         criteria = self._criteria()
         scene = replace(run.scene, detector=replace(run.scene.detector, **criteria))
         self._criteria_in_force = scene.detector
@@ -113,6 +116,29 @@ class CaptureDetectorNode(BenchNode):
                 f"{n} = {v:g} {CRITERION[n].metadata['unit']}" for n, v in criteria.items()
             )
             self.get_logger().info(f"{run.name}: evaluated by {given}; else by the scene")
+        if run.source is RunSource.TRIAL and run.info.announcer != self._follower.roll.id:
+            self._await_sources(run.name)
+
+    def _await_sources(self, name: str) -> None:
+        """Wait for measurements of a trial, so that the chaser is not let go before they come.
+
+        On a busy machine this node can discover a driver seconds after the launcher has, and a
+        chaser that it has not seen arrive gets no verdict.
+        """
+        self.wait(lambda: self._follower.has_ended or not self._unseen(), SOURCES_TIMEOUT)
+        for topics in self._unseen():
+            names = " or ".join(topic.name for topic in topics)
+            self.get_logger().warning(f"{name}: no measurement of {names} yet")
+
+    def _unseen(self) -> list[list[Topic]]:
+        """Return the topics of each source that is needed and has sent nothing lately."""
+        now = time.monotonic()
+        return [
+            topics
+            for source, topics in self._by_source.items()
+            if all(self._monitors[topic].age(now) > PERIOD for topic in topics)
+            and (source is not Source.BUFFER or any(map(self.nodes_that_publish, topics)))
+        ]
 
     def begin(self, run: AnnouncedRun) -> None:
         """Publish the criteria."""
@@ -157,7 +183,7 @@ class CaptureDetectorNode(BenchNode):
         return {name: value for name, value in values.items() if not math.isnan(value)}
 
     def _diagnose(self, topic: Topic, data: bytes) -> None:
-        """Note a measurement of a bench; the diagnostics report what is new, and its clock."""
+        """Note a measurement of a bench; the diagnostics report its age and its clock."""
         stamp, values = self._readers[topic](data)
         now = time.monotonic()
         count = 2 if OF_A_BENCH[topic] is Source.BUFFER else 3

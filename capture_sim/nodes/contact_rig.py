@@ -23,9 +23,10 @@ from capture_sim.nodes.start import OK
 
 
 class ContactRigNode(BenchNode):
-    """A rig of the real kind: servo, load cell, walls, transport; see docs/hardware_in_the_loop.md.
+    """Simulates a contact rig: servo, load cell, walls and transport.
 
-    `-p ideal:=true` is a rig without servo, noise, bias and delay.
+    `-p ideal:=true` is a rig without servo, noise, bias and delay.  docs/hardware_in_the_loop.md
+    lists the parameters.
     """
 
     def __init__(self, **options: Any) -> None:

@@ -29,7 +29,7 @@ from capture_sim.messages.topics import (
     topics_of,
 )
 from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.roll import DONE, READY, Roll, RunReport, node_of, run_key
+from capture_sim.nodes.roll import DONE, READY, Roll, RunReport, run_key
 from capture_sim.nodes.start import FAILED
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import shown
@@ -81,7 +81,7 @@ class AnnouncedRun:
 
     @property
     def key(self) -> str:
-        """By what the roll knows the run."""
+        """Key of the run in the roll."""
         return run_key(self.info)
 
     @property
@@ -113,7 +113,7 @@ class RunPart(Protocol):
         """Return True if, after the followed streams, nothing else is waited for."""
 
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
-        """End the run: publish what is left, close files, say what is missing."""
+        """End the run: publish the rest, close files, report missing messages."""
 
 
 class Follower:
@@ -152,7 +152,6 @@ class Follower:
         self._last_key = ""  # of the last run that was announced
         self._next: AnnouncedRun | None = None
         self._logged: set[str] = set()  # problems of the run
-        self._ignored: set[str] = set()  # announcers that have been named in a line
 
     # set-up, in this order
 
@@ -218,9 +217,7 @@ class Follower:
 
     def work(self) -> int:
         """Take part in runs until the node is asked to end; return the exit status."""
-        # objects that exist now are left out of all later sweeps: one takes longer than a tick
-        gc.collect()
-        gc.freeze()
+        self._node.freeze_objects()
         self._node.get_logger().info("ready, waiting for a run")
         while True:
             self._node.wait(lambda: self._next is not None)
@@ -249,7 +246,8 @@ class Follower:
             self._begun = False
         except KeyboardInterrupt:
             interrupted = True
-            end = self._await_end(run, RUN_END_TIMEOUT)
+            is_own = run.info.announcer == self.roll.id  # no other node ends it
+            end = self._await_end(run, 0.0 if is_own else RUN_END_TIMEOUT)
             if end.kind is EndKind.ABANDONED:
                 end = RunEnd(EndKind.REQUESTED, INTERRUPTED)
         report = self._part.end(run, end) if self._begun else RunReport((end.reason,))
@@ -343,20 +341,12 @@ class Follower:
             and self._has_streams
             and self.roll.id not in info.participants
         ):
-            self._ignore(info, f"does not take part in a {info.source}")
+            self.roll.report_ignored(info, f"this node does not take part in a {info.source}")
         elif self.run is not None and info.announcer != self.run.info.announcer:
-            self._ignore(info, f"takes part in {self.run.name}")
+            self.roll.report_ignored(info, f"this node takes part in {self.run.name}")
         else:
             self._last_key = run_key(info)
             self._next = AnnouncedRun(info, scene)
-
-    def _ignore(self, info: Any, reason: str) -> None:
-        if info.announcer not in self._ignored:
-            self._ignored.add(info.announcer)
-            who = node_of(info.announcer) or "a node"
-            self._node.get_logger().warning(
-                one_line(f"{who} announces {info.name}: ignored, as this node {reason}")
-            )
 
     def _hear_counts(self, counts: Any) -> None:
         if len(counts.topics) != len(counts.counts):

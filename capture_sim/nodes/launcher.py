@@ -39,7 +39,7 @@ _LIMITS = {
         "s (wall), from the release to the end of a trial without verdict",
         (1.0, 86400.0),
     ),
-    "after_verdict": ("s (wall), a trial goes on for this long after its verdict", (0.0, 3600.0)),
+    "after_verdict": ("s (wall), time from the verdict to the end of the trial", (0.0, 3600.0)),
     "closing_timeout": ("s (wall), wait for the recording after a trial", (0.1, 600.0)),
 }
 
@@ -75,7 +75,7 @@ class LauncherNode(BenchNode):
         actuator = self.declare(
             "actuator",
             "simulated",
-            "what lets the chaser go: the simulator, the output launcher/hold, or no node",
+            "release actuator: the simulator, the output launcher/hold, or no node",
             choices=("simulated", "output", "none"),
         )
         auto_release = self.declare(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import math
 import time
@@ -56,7 +55,7 @@ class LoopSimulatorNode(BenchNode):
     It measures bias and noise of the load cell at rest. Then it sends the tip's position on
     loop/tip with every step, from rest up to the vehicles' first speed and on, and uses the newest
     wrench. A step that is late shifts all later ones. At a limit it sends the reason on loop/hold,
-    stops and exits with status 1.
+    stops and exits with status 1. docs/hardware_in_the_loop.md lists the parameters.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -170,7 +169,7 @@ class LoopSimulatorNode(BenchNode):
             raise
 
     def _hand_over_answers(self) -> None:
-        """Give the loop what has arrived."""
+        """Pass the wrenches that have arrived to the loop."""
         while self._inbox:
             arrival, stamp, wrench = self._inbox.popleft()
             key = round(stamp, 9) if math.isfinite(stamp) else 0.0
@@ -184,8 +183,7 @@ class LoopSimulatorNode(BenchNode):
 
     def work(self) -> int:
         """Run the loop to the scene's end; return the exit status."""
-        gc.collect()
-        gc.freeze()  # later collections need not look at what is there now: 20 ms
+        self.freeze_objects()
         stopped, hold = "", "interrupted"
         self._hold("")
         try:
@@ -207,7 +205,7 @@ class LoopSimulatorNode(BenchNode):
         return FAILED if stopped else OK
 
     def _write_record(self, stopped: str) -> None:
-        """Write the run with what was exchanged with the rig; RecordingError if that fails."""
+        """Write the run with all messages exchanged with the rig; RecordingError if that fails."""
         if self._record is None or self._record_path is None:
             return
         make, run = self.messages, self._record.run(stopped)
@@ -290,7 +288,7 @@ class LoopSimulatorNode(BenchNode):
         self._reported_notes = len(self._loop.notes)
 
     def _report_result(self, stopped: str) -> None:
-        """Log what was measured and write the report; RecordingError if that fails."""
+        """Log the results and write the report; RecordingError if that fails."""
         report = report_of(self._loop, self._pacer, self._timing, stopped)
         for line in summary(self._loop, report):
             self.get_logger().info(line)

@@ -1,4 +1,4 @@
-"""Parameters of a node: described, bounded, and refused in one line that says what is allowed."""
+"""Parameters of a node: described, bounded, and rejected in one line with the permitted values."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _UNSET: dict[type, Any] = {list: [""], float: math.nan}
 
 
 class ParameterError(CaptureSimError):
-    """A parameter of a node is not usable; the message says what is allowed."""
+    """A parameter of a node is not usable; the message gives the permitted values."""
 
 
 class ParameterNode(Node):

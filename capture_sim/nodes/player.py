@@ -31,7 +31,6 @@ from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run as run_process
 from capture_sim.nodes.roll import Roll
-from capture_sim.nodes.services import SimulationServices
 from capture_sim.nodes.start import FAILED, OK
 from capture_sim.recording.bag import remap_of
 from capture_sim.recording.playback import Playback, PlayedCounts, publisher_of, replayed
@@ -48,9 +47,10 @@ class PlayerNode(BenchNode):
     """Publishes the serialised messages of a recording.
 
     Topics of the bench have their own quality of service, others are reliable and volatile.
-    Types that are not installed are left out with a warning.  The nodes named in ``wait_for`` are
-    waited for at the start and never outrun; a detector among them evaluates the run again, and
-    what it publishes itself is not played.  Recorders that are there take part as well.
+    Types that are not installed are left out with a warning.  The player waits for the nodes named
+    in ``wait_for`` at the start and never outruns them.  A detector among them evaluates the run
+    again, and the topics that it publishes are not played.  Running recorders take part as well.
+    docs/recording.md explains the options.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -76,7 +76,7 @@ class PlayerNode(BenchNode):
             allowed="TOPIC:=RECORDED_TOPIC each",
             check=lambda texts: dict(map(remap_of, texts)),
         )
-        wanted = self.declare("topics", list, "those that are played; all unless given")
+        wanted = self.declare("topics", list, "topics to play (default: all)")
         paused = self.declare("paused", False, "start paused")
         self._wait_for = self.declare(
             "wait_for",
@@ -111,13 +111,10 @@ class PlayerNode(BenchNode):
             State.PAUSED if paused else State.PLAYING,
             Pacer(factor),
             lambda limit: self.wait(limit=limit),
-            states=(State.PLAYING, State.PAUSED),
-            may_reset=False,
         )
         for name, state in (("pause", State.PAUSED), ("resume", State.PLAYING)):
             serve = partial(self._set_state, state)
             self.create_service(Trigger, f"~/{name}", self.guarded(serve))
-        self._simulation_services = SimulationServices(self, self._control)
         self._not_installed: list[str] = []  # a line for each topic
         self._outlets: dict[str, Callable[[Any], object]] = {}
         # the announcement last, see nodes/roll.py
@@ -144,7 +141,8 @@ class PlayerNode(BenchNode):
             for topic in topics_of(name)
             if topic is not STREAM_COUNTS
         }
-        return [name for name in names if name not in own and not name.endswith(f"/{HOLD}")]
+        self._moving = [name for name in names if name.endswith(f"/{HOLD}")]
+        return [name for name in names if name not in own and name not in self._moving]
 
     def _open(self, name: str, type_name: str) -> None:
         try:
@@ -173,14 +171,12 @@ class PlayerNode(BenchNode):
             self.get_logger().warning(f"{name}: not played: {reason}")
         for line in (*self._playback.damage, *self._not_installed):
             self.get_logger().warning(line)
-        for name in self._playback.types:
-            if name.endswith(f"/{HOLD}"):
-                self.get_logger().warning(f"{name}: not played: it moves a real chaser")
+        for name in self._moving:
+            self.get_logger().warning(f"{name}: not played: it moves a real chaser")
         try:
             count = self._play()
         finally:
             self._control.end()
-            self._simulation_services.close()
         if count == 0:
             self.get_logger().error(
                 "nothing was played: of the topics and times chosen the recording contains no "

@@ -131,7 +131,7 @@ def _live(make: Callable[[], BenchNode], hidden: bool) -> int:
 
 
 def _usage(make: Callable[..., object]) -> str:
-    """Return how this process's node is called, what it does, and which parameters it has."""
+    """Return the help of this process's node: usage, purpose and parameters."""
     program = Path(sys.argv[0]).name
     name = Path(program).stem.removeprefix("capture-sim-").replace("-", "_")
     file = config_dir() / "nodes.yaml"
@@ -139,7 +139,7 @@ def _usage(make: Callable[..., object]) -> str:
     lines = [
         f"usage: {program} [--ros-args -p NAME:=VALUE ... --params-file FILE -r NAME:=NAME ...]",
         "",
-        inspect.getdoc(make) or "",
+        (inspect.getdoc(make) or "").replace("``", "`"),
         "",
     ]
     for section in sections:

@@ -49,10 +49,9 @@ SEEK_PERIOD = 0.5
 
 
 class RecorderNode(BenchNode):
-    """Writes the messages' bytes as they come, and checks at the end that none is missing.
+    """Writes messages to one MCAP file a run, and checks at the end that none is missing.
 
-    What it does with them is in :class:`capture_sim.recording.live.LiveRecorder`.  The services
-    ``~/pause`` and ``~/resume`` (std_srvs/Trigger) stop and continue writing.
+    The services ``~/pause`` and ``~/resume`` (std_srvs/Trigger) stop and continue writing.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -65,7 +64,7 @@ class RecorderNode(BenchNode):
         wanted = self.declare(
             "topics",
             list,
-            "those that are recorded, of the bench or others, whose types are found when they are "
+            "topics of the bench or the rig to record; their types are found when they are "
             "published; the bench's unless given",
         )
         bench_names = {topic.absolute_name: topic for topic in TOPICS}
@@ -108,16 +107,23 @@ class RecorderNode(BenchNode):
         """Open the file and write the run's description."""
         for name in sorted(self._sought):
             self.get_logger().warning(f"{run.name}: {name} is not recorded: it has no publisher")
-        recorder = LiveRecorder(
-            self._out, topics=self._topics, required=self._required, remaps=self._remaps
-        )
+        self._recorder, self._failure, self._first_after_end = None, "", None
+        try:
+            recorder = LiveRecorder(
+                self._out,
+                serialize_message(run.info),
+                topics=self._topics,
+                required=self._required,
+                remaps=self._remaps,
+            )
+        except RecordingError as error:
+            self._fail_recording(error)
+            return
         recorder.paused = self._paused
-        self._recorder, self._failure, self._first_after_end = recorder, "", None
-        self._write(RUN_INFO, serialize_message(run.info))
+        self._recorder = recorder
+        self.get_logger().info(f"{run.name}: {RECORDING_IN}{recorder.path}")
         for topic, data in self._kept.items():
             self._write(topic, data)
-        if not self._failure:
-            self.get_logger().info(f"{run.name}: {RECORDING_IN}{recorder.path}")
 
     def begin(self, run: AnnouncedRun) -> None:
         """Publish nothing: a recorder has no stream."""
@@ -127,7 +133,7 @@ class RecorderNode(BenchNode):
         return bool(self._failure) or (self._recorder is not None and self._recorder.done)
 
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
-        """Close the file and report what is missing."""
+        """Close the file and report missing messages."""
         problems = [f"{name}: no message" for name in sorted(self._sought)]
         path = None if self._recorder is None else self._recorder.path
         try:
@@ -154,7 +160,8 @@ class RecorderNode(BenchNode):
 
     def _close(self) -> RecordingReport:
         """Close the file; RecordingError if the disk has failed, now or before."""
-        assert self._recorder is not None
+        if self._recorder is None:
+            raise RecordingError(self._failure)
         recorder, self._recorder = self._recorder, None
         return recorder.close()
 
@@ -176,7 +183,7 @@ class RecorderNode(BenchNode):
         self._follower.fail(self._failure)
 
     def _seek(self) -> None:
-        """Subscribe to those of the other topics that are published by now."""
+        """Subscribe to the other topics that are published by now."""
         for name, (type_name, *_) in self.get_topic_names_and_types():
             if name in self._sought:
                 self._sought.remove(name)

@@ -21,7 +21,7 @@ from capture_sim.scene.parts import Scene
 
 
 class RobotModel:
-    """Publishes what the bench looks like and where its parts are.
+    """Publishes the bench's shape (URDF) and the poses of its parts.
 
     For the eye only: not counted, not recorded (poses and joints are), never waited for.
     """

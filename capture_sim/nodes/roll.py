@@ -4,7 +4,7 @@ Every node that takes part publishes its part on bench/roll, transient local.  P
 subscription of the roll are the last that a node creates.  DDS announces them in that order, so a
 node that has a message of another's roll is matched with it in both directions: the other knows all
 its subscriptions, and it knows all publishers of the other.  A node is ready when it has a message
-of each participant; the first message of a run comes when all are ready, so nobody misses it.
+of each participant; the first message of a run is sent when all are ready, so no node misses it.
 """
 
 from __future__ import annotations
@@ -18,12 +18,15 @@ from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 
+from capture_sim.errors import one_line
 from capture_sim.messages.topics import ROLL, RunSource
 from capture_sim.nodes.endpoints import message_class
 from capture_sim.nodes.node import BenchNode
 
 #: Which nodes are there is looked up this often, s (wall): the look-up costs 0.1 ms.
 PRESENCE_PERIOD = 0.1
+#: A node that has just joined the roll is heard within this long, s (wall).
+HEARING_TIMEOUT = 2.0
 FREE, READY, DONE = 0, 1, 2
 
 
@@ -54,7 +57,7 @@ class Part:
 
     @property
     def number(self) -> str:
-        """Unique number of the node; that of an older one is smaller."""
+        """Unique number of the node, which increases with its start time."""
         return number_of(self.id)
 
     @property
@@ -86,7 +89,7 @@ def number_of(participant: str) -> str:
 
 
 def run_key(info: Any) -> str:
-    """Return by what the roll knows a run, from its RunInfo or description.
+    """Return the key of a run in the roll, from its RunInfo or description.
 
     A recorded run can be announced by several players.
     """
@@ -114,6 +117,7 @@ class Roll:
         )
         self.id = f"{node.get_fully_qualified_name()}#{started}{uuid.uuid4().hex[:8]}"
         self.parts: dict[str, Part] = {}
+        self.ignored: set[str] = set()  # announcers whose runs are ignored
         self._node = node
         self._role = role
         self._sources = [str(source) for source in sources]
@@ -152,7 +156,7 @@ class Roll:
         )
 
     def not_ready(self, run: str, participants: Sequence[str]) -> list[str]:
-        """Return the nodes that have yet to join a run; those that have gone do not."""
+        """Return the nodes that have yet to join a run, without nodes that have left."""
         return self._pending(participants, lambda part: part.is_ready(run))
 
     def not_done(self, run: str, participants: Sequence[str]) -> list[str]:
@@ -171,11 +175,22 @@ class Roll:
         """Return the nodes that take part in a trial of a real bench now."""
         return [p.node for p in self.parts.values() if p.is_in_trial and self._is_there(p.id)]
 
-    def unheard(self) -> list[str]:
-        """Return the nodes that publish on the roll and have not been heard yet."""
+    def await_heard(self) -> None:
+        """Wait until all nodes that publish on the roll have been heard, for a while at most."""
         own = Counter([self._node.get_fully_qualified_name()] * self._is_listed)
-        heard = Counter(part.node for part in self.parts.values())
-        return sorted((self._nodes() - own - heard).elements())
+
+        def all_heard() -> bool:
+            return not self._nodes() - own - Counter(part.node for part in self.parts.values())
+
+        self._node.wait(all_heard, HEARING_TIMEOUT)
+
+    def report_ignored(self, info: Any, reason: str) -> None:
+        """Log that an announced run is ignored, and why, once for each announcer."""
+        if info.announcer not in self.ignored:
+            self.ignored.add(info.announcer)
+            who = node_of(info.announcer) or "a node"
+            text = f"{who} announces {info.name} ({info.source}): ignored, {reason}"
+            self._node.get_logger().warning(one_line(text))
 
     def is_present(self, participant: str) -> bool:
         """Return True if a participant, by its id, is still there."""

@@ -114,7 +114,7 @@ class SimulatedLaunch:
         self._node.publish(*self._telemetry.status(0.0, launcher.release()))
 
     def _receive(self, topic: Topic, numbers: Numbers, data: bytes) -> None:
-        """Collect what was measured at one instant."""
+        """Collect the measurements of one instant."""
         sec, nanosec, *values = numbers(data).item()
         stamp = sec * 1_000_000_000 + nanosec
         parts = self._parts.setdefault(stamp, {})

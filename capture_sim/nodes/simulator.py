@@ -1,4 +1,4 @@
-"""The node that runs the bench and publishes what it measures."""
+"""The node that runs the bench and publishes its measurements."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class LauncherLink:
 class SimulatorNode(BenchNode):
     """Runs scenes one after another.
 
-    Alone it launches by its own plan and publishes; a launcher that is there takes over.  The
+    Alone, it launches by its own plan; if a launcher is running, the launcher does.  The
     parameter ``wait_for`` names the nodes that a run waits for.  No subscriber with KEEP_ALL loses
     a message.  Simulated time starts at the release, so neither a delay before it nor the real-time
     factor changes a number.
@@ -171,7 +171,7 @@ class SimulatorNode(BenchNode):
         self._exit_when_done = self.declare(
             "exit_when_done", False, "end this process after the last run"
         )
-        self._scenes = _load(names, overrides, load_scene)
+        self._scenes = self._requested = _load(names, overrides, load_scene)
         self._names_at_start = tuple(names)
         self.control = SimulationControl(
             State[state.upper()], Pacer(factor), lambda limit: self.wait(limit=limit)
@@ -212,7 +212,9 @@ class SimulatorNode(BenchNode):
                         f"parameter {next(iter(wanted))}: may be changed while the simulation is "
                         f"stopped; it is {self.control.state.name.lower()}"
                     )
-                _load(*self._scene_parameters(wanted), self._request)
+                present = {name: self.get_parameter(name).value for name in ("scenes", "overrides")}
+                names, overrides = (wanted.get(name, now) for name, now in present.items())
+                self._requested = _load(names, [text for text in overrides if text], self._request)
             except CaptureSimError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -222,7 +224,7 @@ class SimulatorNode(BenchNode):
             if parameter.name == "rtf":
                 self.control.pacer.factor = parameter.value
             elif parameter.name in ("scenes", "overrides"):
-                self._scenes = _load(*self._scene_parameters({}), self._request)
+                self._scenes = self._requested
 
     def _request(self, name: str, overrides: list[str]) -> Scene:
         """Return a scene that is set over the network; one given at the start may be a file."""
@@ -230,19 +232,13 @@ class SimulatorNode(BenchNode):
             return load_scene(name, overrides)
         return load_requested(name, overrides, self._scene_folder)
 
-    def _scene_parameters(self, wanted: dict[str, Any]) -> tuple[list[str], list[str]]:
-        present = {name: self.get_parameter(name).value for name in ("scenes", "overrides")}
-        present.update(wanted)
-        return list(present["scenes"]), [change for change in present["overrides"] if change]
-
     # runs
 
     def work(self) -> int:
         """Run all scenes, as often as requested; return the exit status."""
         self._compile()
         sys.setswitchinterval(SWITCH_INTERVAL)
-        gc.collect()
-        gc.freeze()  # objects are left out of later sweeps: over them one takes longer than a tick
+        self.freeze_objects()
         self.wait(limit=max(0.0, self.created + DISCOVERY - time.monotonic()))
         status = OK
         try:
@@ -378,7 +374,7 @@ class SimulatorNode(BenchNode):
         self.publish(telemetry.end(complete=not reason, reason=reason, extremes=extremes))
 
     def _await_participants(self, name: str) -> str:
-        """Wait until the other nodes have received and written the run; return what failed."""
+        """Wait until the other nodes have received and written the run; return their failures."""
         try:
             self._announcer.await_done()
         except CaptureSimError as error:
@@ -409,7 +405,7 @@ def _load(
     overrides: Sequence[str],
     load: Callable[[str, list[str]], Scene],
 ) -> list[Scene]:
-    """Return the scenes; rejects those that could not be launched later."""
+    """Return the scenes; reject a scene that could not be launched."""
     if not names:
         raise ParameterError("parameter scenes = []: must be names of scenes, one at least")
     scenes = [load(name, list(overrides)) for name in names]

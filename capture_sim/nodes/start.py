@@ -13,17 +13,17 @@ from capture_sim.errors import explain_import_error
 
 #: Exit statuses: done, or ended by Ctrl-C; failed; parameters or the scene are wrong.
 OK, FAILED, REFUSED = 0, 1, 2
-#: How the line begins by which a node says why it has refused.
+#: Start of the line with which a node reports why it refused to run.
 REFUSAL = "error: "
-#: The line by which the recorder says into which file it records ends with this and the file.
+#: The recorder's line about its file ends with this text and the file.
 RECORDING_IN = "recording in "
 
 
 def start(name: str) -> int:
     """Load a node and run it as this process; return the exit status.
 
-    Loading takes seconds on a busy computer.  Nothing has been begun meanwhile that had to be
-    ended in order, and an exception would be lost or end in a traceback within an import.
+    Loading takes seconds on a busy computer.  Nothing needs an orderly shutdown yet, and an
+    exception would be lost or end in a traceback within an import.
     """
     for signum in (signal.SIGINT, signal.SIGTERM):
         signal.signal(signum, lambda signum, frame: os._exit(OK))

@@ -20,7 +20,7 @@ LARGEST_BLOCK = 200
 
 
 class Stepping:
-    """Steps a bench from its release to its end and sends what it gives.
+    """Steps a bench from its release to its end and sends its messages.
 
     ``control`` is asked before every sample, and its pacer waited for.  ``count``: samples sent;
     ``t`` (s) and ``residual`` (J): simulated time and energy residual of the last one.
@@ -80,7 +80,7 @@ class Stepping:
 
 
 def _by_sample(block: Iterable[Sent]) -> Iterator[list[Sent]]:
-    """Yield what belongs to each sample, made before it is due: events, state, the rest."""
+    """Yield the messages of each sample, made before it is due: events, state, the rest."""
     due: list[Sent] = []
     ended = False  # the state is among it
     for sent in block:

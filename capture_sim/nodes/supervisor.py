@@ -111,7 +111,7 @@ def _run_nodes(
     folder: Path,
     log: Path | None,
 ) -> tuple[int, _Processes]:
-    """Run nodes to their end; return the status (see :func:`run_suite`) and what they printed."""
+    """Run nodes to their end; return the status (see :func:`run_suite`) and their output."""
     file = folder / "parameters.yaml"
     content = {}
     for name, values in parameters.items():
@@ -151,7 +151,7 @@ def _print(text: str, who: str = "suite") -> None:
 
 
 class _Processes:
-    """The nodes' processes; leaving the context ends what still runs."""
+    """The nodes' processes; leaving the context ends the remaining ones."""
 
     def __init__(
         self, names: Sequence[str], arguments: Sequence[str], environment: Mapping[str, str]
@@ -235,7 +235,7 @@ class _Processes:
         return ended
 
     def _end(self) -> None:
-        """End what still runs: by SIGINT, and by SIGKILL what does not follow."""
+        """End the remaining processes by SIGINT, and by SIGKILL if one does not react."""
         for process in self._running.values():
             process.send_signal(signal.SIGINT)
         deadline = time.monotonic() + LAST_GRACE

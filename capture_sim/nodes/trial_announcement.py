@@ -52,7 +52,7 @@ class TrialAnnouncement:
                 self._close()
 
     def report_launch(self) -> None:
-        """Publish what the poses since the last call have shown of the launch."""
+        """Publish the state of the launch by the poses since the last call."""
         for stamp, status in self.trial.take_statuses():
             if self.trial.is_released and not self._is_closed:
                 self._telemetry.zero_ns = stamp
@@ -137,7 +137,7 @@ class TrialAnnouncement:
         self._node.send(RUN_INFO, messages.serialise(messages.run_info(run)))
 
     def _reports(self) -> list[RunReport]:
-        """Return what the other nodes report of the trial."""
+        """Return the other nodes' reports on the trial."""
         if self._description is None:
             return []
         key = run_key(self._description)

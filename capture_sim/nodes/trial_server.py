@@ -8,7 +8,6 @@ callback sends launcher/hold if that is due, so it is late by the longest of the
 
 from __future__ import annotations
 
-import gc
 import math
 import time
 from collections.abc import Callable
@@ -55,7 +54,7 @@ from capture_sim.nodes.endpoints import TRANSIENT_LOCAL, full_name, message_clas
 from capture_sim.nodes.launch_settings import LaunchSettings
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.requested_scene import load_requested
-from capture_sim.nodes.roll import Roll, node_of
+from capture_sim.nodes.roll import Roll
 from capture_sim.nodes.trial_announcement import TrialAnnouncement
 from capture_sim.scene.parts import Scene
 
@@ -68,8 +67,6 @@ MAX_LATENESS = 0.1
 FEEDBACK_PERIOD, LOOK_UP_PERIOD = 0.1, 0.5
 #: Name of a node that DDS does not know, or not any more.
 UNKNOWN = "_NODE_NAME_UNKNOWN_"
-#: A node that has just joined the roll is heard within this long, s (wall).
-HEARING_TIMEOUT = 2.0
 #: After Ctrl-C a trial gets this long to close its recording, s (wall).
 SHUTDOWN_TIMEOUT = 3.0
 #: What measures, by sensor.
@@ -125,7 +122,6 @@ class TrialServer:
         self._steps: list[TrialStep] = []
         self._handle: Any = None  # of the goal that is served
         self._finished: Future | None = None
-        self._ignored: set[str] = set()  # announcers that have been named in a line
         self._last_tick = self._caught_up = time.monotonic()
         self._last_stamp = 0  # ns
         self._said = ""  # the last deviation that was logged
@@ -166,9 +162,7 @@ class TrialServer:
 
     def work(self) -> int:
         """Serve goals until the node is asked to end; return the exit status."""
-        # objects that exist now are left out of all later sweeps: one takes longer than a tick
-        gc.collect()
-        gc.freeze()
+        self._node.freeze_objects()
         actuator = "launcher/hold" if self._settings.has_actuator else "none: let go by hand"
         self._node.get_logger().info(f"ready for trials, actuator {actuator}")
         try:
@@ -182,8 +176,7 @@ class TrialServer:
     def settings_changed(self) -> None:
         """Use settings that have been changed, also in the trial that is on."""
         if self._trial is not None:
-            self._trial.launcher.tolerance = self._launch.tolerance
-            self._trial.launcher.aborts = self._launch.aborts and self._settings.has_actuator
+            self._trial.set_launch(self._launch.tolerance, aborts=self._launch.aborts)
 
     # what comes in, in callbacks
 
@@ -223,16 +216,8 @@ class TrialServer:
 
     def _hear_announcement(self, info: Any) -> None:
         """Name once who announces runs here: they move nothing."""
-        announcer = info.announcer
-        if not info.run_id or announcer == self._roll.id or announcer in self._ignored:
-            return
-        self._ignored.add(announcer)
-        self._node.get_logger().warning(
-            one_line(
-                f"{node_of(announcer) or 'a node'} announces {info.name} ({info.source}): "
-                "ignored, only a goal of ~/run_trial begins a trial here"
-            )
-        )
+        if info.run_id and info.announcer != self._roll.id:
+            self._roll.report_ignored(info, "only a goal of ~/run_trial begins a trial here")
 
     def _tick(self) -> None:
         now = time.monotonic()
@@ -321,11 +306,7 @@ class TrialServer:
             trial = Trial(
                 goal,
                 scene,
-                Launcher(
-                    scene,
-                    self._launch.tolerance,
-                    aborts=self._launch.aborts and self._settings.has_actuator,
-                ),
+                Launcher(scene, self._launch.tolerance, aborts=self._launch.aborts),
                 self._interlocks,
                 has_actuator=self._settings.has_actuator,
                 needs_client=self._settings.needs_client,
@@ -334,7 +315,7 @@ class TrialServer:
         except CaptureSimError as error:
             self._refuse(handle, str(error))
             return
-        self._node.wait(lambda: not self._roll.unheard(), HEARING_TIMEOUT)
+        self._roll.await_heard()
         self._look_up_publishers()
         run = TrialAnnouncement(self._node, self._roll, trial)
         self._steps.clear()
@@ -419,7 +400,7 @@ class TrialServer:
 
 
 def _feedback(trial: Trial, now: float) -> Any:
-    """Return what the operator sees of a trial."""
+    """Return the feedback of a trial for its operator."""
     return RunTrial.Feedback(
         phase=int(trial.phase),
         waiting_for=trial.waiting_for(now),

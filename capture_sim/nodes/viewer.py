@@ -50,9 +50,9 @@ _STAMP = struct.Struct("<iI")  # of a message with a header, behind the byte ord
 
 
 class ViewerNode(BenchNode):
-    """Shows every run that is announced, or one of a bench that announces none.
+    """Shows every announced run live in rerun, or a bench that announces none.
 
-    What it shows and how is in :class:`capture_sim.viewing.live.LiveView`.
+    docs/looking_at_runs.md lists the parameters.
     """
 
     _scene: Scene  # of the run that is on
@@ -63,7 +63,7 @@ class ViewerNode(BenchNode):
             "rate", 50.0, "Hz (simulated), instants shown of each second", low=1.0, high=1000.0
         )
         refresh = self.declare(
-            "refresh", 10.0, "Hz (wall), how often the picture moves", low=0.5, high=60.0
+            "refresh", 10.0, "Hz (wall), updates of the window", low=0.5, high=60.0
         )
         port = self.declare(
             "port", 9876, "TCP port of the recordings, on this machine", low=1024, high=65535
@@ -100,7 +100,7 @@ class ViewerNode(BenchNode):
                 self.listen(topic, partial(self._receive_measurement, topic), raw=True)
         self.listen(BENCH_EVENT, self._receive_event)
         self.listen(CAPTURE_STATUS, self._receive_status, raw=True)
-        # what came last is also shown when nothing follows: the run may stand still
+        # the last message is also shown when nothing follows: the run may be paused
         self.every(max(0.2, 1.0 / refresh), self._view.show)
         self._follower = Follower(self, VIEWER, self, list(RunSource), on_roll=False)
         self._follower.join()
@@ -150,7 +150,7 @@ class ViewerNode(BenchNode):
         self._view.begin(name, self._scene, measured=self._geometry is not None)
 
     def _is_shown(self, topic: Topic, data: bytes) -> bool:
-        """Return, from a message's first bytes, whether it is one of those that are shown."""
+        """Return True if a message is shown, by its first bytes."""
         seconds, nanoseconds = _STAMP.unpack_from(data, 4)
         slot = math.floor((seconds + nanoseconds * 1e-9) / self._period + 1e-6)
         if slot == self._last_slot.get(topic) or (

@@ -37,7 +37,10 @@ MAX_GAPS = 100
 
 
 class Completeness:
-    """Counts messages by topic, follows their sequence, and compares with what was sent.
+    """Counts messages by topic, follows their sequence, and compares with the counts sent.
+
+    Of a topic that holds a state (:attr:`Topic.holds_state`) the last message must come: earlier
+    ones may be replaced by it on their way, and are in the topic's stream.
 
     ``publishers`` are the nodes that have to report how many messages they sent; ``topics`` are
     the topics whose reported numbers count, None for all; ``required`` those that must have
@@ -108,8 +111,8 @@ class Completeness:
     def satisfied(self) -> bool:
         """Whether all publishers have reported and all their messages were received."""
         return set(self.publishers) <= set(self._ended) and all(
-            entry.expected is None or entry.received >= entry.expected
-            for entry in self._topics.values()
+            (entry.next_seq if topic.holds_state else entry.received) >= (entry.expected or 0)
+            for topic, entry in self._topics.items()
         )
 
     def summary(self) -> list[str]:
@@ -149,7 +152,10 @@ class Completeness:
             lost = entry.missing
             if entry.expected is not None:
                 lost = entry.expected - entry.received + entry.out_of_order
-            if lost > 0:
+            if topic.holds_state:
+                if entry.next_seq < (entry.expected or 0):
+                    lines.append(f"{topic.name}: last message missing")
+            elif lost > 0:
                 lines.append(f"{topic.name}: {lost} messages missing{_gaps_text(topic, entry)}")
             if entry.expected is not None and entry.received > entry.expected:
                 lines.append(

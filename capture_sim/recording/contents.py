@@ -148,7 +148,7 @@ class _Reader:
         topic, contents = channel.topic, self._contents
         schema = self._schemas.get(channel.schema_id)
         reason = why_unreadable(channel, schema)
-        if not reason and channel.message_encoding != CDR:  # the type says nothing of other bytes
+        if not reason and channel.message_encoding != CDR:  # the type does not describe other bytes
             reason = f"messages are encoded as {channel.message_encoding!r}, must be {CDR}"
         if reason:
             self._lists[channel.id] = deque(maxlen=0), deque(maxlen=0)

@@ -128,13 +128,13 @@ def _touch_table(bag: Bag) -> Table:
 def _units(
     type_name: str, fields: Mapping[str, np.ndarray], times: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return the units of a table's columns, of those that have one."""
+    """Return the units of a table's columns that have one."""
     units = {name: times.get(name) or unit_of(type_name, name) for name in columns_of(fields)}
     return {name: unit for name, unit in units.items() if unit}
 
 
 def _covers(name: str, column: str) -> bool:
-    """Return True if a name stands for a column: its own, or that of the field it is part of."""
+    """Return True if a name selects a column: its own name, or the name of its field."""
     return column == name or column.startswith(f"{name}.")
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Self
+from typing import Any
 
 from capture_sim.errors import MessageError, RecordingError
 from capture_sim.files import file_name, free_path
@@ -28,7 +27,7 @@ from capture_sim.messages.topics import (
 from capture_sim.recording.completeness import Completeness, TopicCount
 from capture_sim.recording.write import RunWriter
 
-#: What the metadata record says of a live recording's origin.
+#: Origin of a live recording, in the metadata record.
 LIVE = "live"
 #: Bytes that may wait for the disk; beyond them take() waits.
 QUEUE_BYTES = 64 * 1024 * 1024
@@ -48,8 +47,7 @@ CLOSE_LIMIT = 5.0
 class RecordingReport:
     """The outcome of a recording."""
 
-    # the file; None if no run was announced, so that nothing was written
-    path: Path | None
+    path: Path  # the file
     complete: bool  # every publisher has ended its streams, and every message was received
     # messages received, written, expected and missing, by topic name
     topics: Mapping[str, TopicCount]
@@ -60,60 +58,55 @@ class RecordingReport:
 class LiveRecorder:
     """Records one run from serialised messages into a folder.
 
-    A RunInfo names the run and opens its file; messages received before it are written after it.
-    Messages are written by a thread of the recorder's own, logged at the simulated time of their
-    stamp, or, without a simulator, at the time of their arrival.  The publishers' StreamCounts are
-    written last, since they carry no time.
+    ``info``: the run's RunInfo, serialised, which names the file and is written first; MessageError
+    if its bytes are invalid.  Messages are written by a thread of the recorder's own, logged at the
+    simulated time of their stamp, or, without a simulator, at the time of their arrival.  The
+    publishers' StreamCounts are written last, since they carry no time.
 
-    ``topics`` are recorded, the bench's or others, and always RunInfo and StreamCounts; other
-    topics are ignored.  Each of ``required`` must have messages for a complete recording.
-    ``metadata`` are further entries for the file's metadata record, ``remaps`` the names in the
-    file of topics that do not have the bench's.  The waiting messages need at most ``queue_bytes``
-    of memory, and as much again while they are written.
+    ``topics`` are recorded, the bench's or others, and always StreamCounts; other topics are
+    ignored.  Each of ``required`` must have messages for a complete recording.  ``remaps`` are the
+    names in the file of topics that do not have the bench's.  The waiting messages need at most
+    ``queue_bytes`` of memory, and as much again while they are written.
 
-    :meth:`take` may be called from any one thread.  Use it as a context manager or call
-    :meth:`close`.  The methods raise RecordingError if the file cannot be written.
+    :meth:`take` may be called from any one thread.  All raise RecordingError if the file cannot be
+    written.  ``run``: the recorded run; ``path``: its file; while ``paused`` is set, messages are
+    counted but not written, except StreamCounts.
     """
 
     def __init__(
         self,
         directory: Path | str,
-        metadata: Mapping[str, str] | None = None,
+        info: bytes,
         queue_bytes: int = QUEUE_BYTES,
         *,
         topics: Sequence[Topic] = TOPICS,
         required: Sequence[Topic] = (),
         remaps: Mapping[Topic, str] | None = None,
     ) -> None:
-        self._directory = Path(directory)
-        self._metadata = {"origin": LIVE, **(metadata or {})}
+        self.paused = False
+        self.run = RunDescription.of_message(decoded(RUN_INFO, info))
         chosen = {*topics, RUN_INFO, STREAM_COUNTS}
         others = [topic for topic in topics if topic not in TOPICS]
         self._topics = (*(topic for topic in TOPICS if topic in chosen), *others)
-        self._remaps = remaps or {}
-        self._completeness = Completeness(
-            topics=self._topics, required=required, names=self._remaps
-        )
+        remaps = remaps or {}
+        self._completeness = Completeness(self.run.publishers, self._topics, required, remaps)
         self._closing: dict[str, str] = {}  # known at the end only
-        self._simulated = True  # a simulator takes part
+        self._simulated = SIMULATOR in self.run.publishers
         self._counts: dict[str, bytes] = {}  # StreamCounts by publisher
-        self._early_counts: list[bytes] = []  # received before the run was announced
-        self._remarks: dict[str, None] = {}  # each once, in order
         self._first_state: float | None = None  # s, of a steady clock
         self._last_message = 0.0
-        self._queue = _WriteQueue(queue_bytes)
         self._report: RecordingReport | None = None
-        #: While set, messages are counted but not written, except RunInfo and StreamCounts.
-        self.paused = False
-        #: The run that is recorded; None until it is announced.
-        self.run: RunDescription | None = None
-        #: The file; None until the run is announced.
-        self.path: Path | None = None
+        stamp = self._log_time(RUN_INFO, info)
+        writer = _open_new(Path(directory), self.run, topics=self._topics, remaps=remaps)
+        self.path = writer.path
+        self._queue = _WriteQueue(writer, queue_bytes)
+        self._completeness.add(RUN_INFO, None)
+        self._queue.put(RUN_INFO, info, stamp)
 
     @property
     def done(self) -> bool:
         """Whether all publishers have ended the run and all their messages were received."""
-        return self.run is not None and self._completeness.satisfied
+        return self._completeness.satisfied
 
     def take(self, topic: Topic, data: bytes, arrival: int | None = None) -> None:
         """Record a serialised message; MessageError if the bytes are invalid.
@@ -125,9 +118,7 @@ class LiveRecorder:
         self._last_message = time.monotonic()
         if topic is BENCH_STATE and self._first_state is None:
             self._first_state = self._last_message
-        if topic is RUN_INFO:
-            self._take_info(data)
-        elif topic is STREAM_COUNTS:
+        if topic is STREAM_COUNTS:
             self._take_counts(data)
         elif topic in self._topics:
             stamp, paused = self._log_time(topic, data, arrival), self.paused
@@ -138,9 +129,7 @@ class LiveRecorder:
     def close(self) -> RecordingReport:
         """Write the waiting messages, close the file and return the report, every time the same."""
         if self._report is None:
-            problems = [*self._remarks, *self._completeness.problems()]
-            if self.run is None:
-                problems.insert(0, "no run was announced: nothing recorded")
+            problems = self._completeness.problems()
             self._report = RecordingReport(
                 path=self.path,
                 complete=not problems,
@@ -155,57 +144,17 @@ class LiveRecorder:
             self._queue.close(self._closing)
         return self._report
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-    def _open_new(self, run: RunDescription) -> RunWriter:
-        """Open ``<name>.mcap``; where that exists ``<name>_2.mcap``, and so on.
-
-        A live recording has its name from the beginning, so that what a kill leaves is where one
-        looks for it.
-        """
-        while True:
-            path = free_path(self._directory / f"{file_name(run.name)}.mcap")
-            try:
-                return RunWriter(
-                    path, run, self._metadata, topics=self._topics, remaps=self._remaps
-                )
-            except RecordingError as error:
-                if not (isinstance(error.__cause__, FileExistsError) and os.path.lexists(path)):
-                    raise
-                # another recorder was faster
-
     def _log_time(self, topic: Topic, data: bytes, arrival: int | None = None) -> int | None:
         stamp = stamp_of(topic, data) if self._simulated else arrival or time.time_ns()
         if stamp is not None and stamp < 0:
             raise MessageError(f"stamp = {stamp / 1e9:g} s: must be >= 0")
         return stamp
 
-    def _take_info(self, data: bytes) -> None:
-        info = decoded(RUN_INFO, data)
-        if self.run is None:
-            run = RunDescription.of_message(info)
-            self._simulated = SIMULATOR in run.publishers
-            first = (RUN_INFO, data, self._log_time(RUN_INFO, data))
-            self.path = self._queue.begin(first, partial(self._open_new, run))
-            self._completeness.add(RUN_INFO, None)
-            self.run = run
-            self._completeness.publishers = run.publishers
-            for early in self._early_counts:
-                self._take_counts(early)
-        elif info.run_id != self.run.run_id:
-            self._remarks[f"another run was announced meanwhile: {info.run_id!r}"] = None
-
     def _take_counts(self, data: bytes) -> None:
         ended = decoded(STREAM_COUNTS, data)
         if len(ended.topics) != len(ended.counts):
             raise MessageError(f"{len(ended.topics)} topics and {len(ended.counts)} counts")
-        if self.run is None:
-            self._early_counts.append(data)
-        elif ended.run_id == self.run.run_id:  # else kept from an earlier run
+        if ended.run_id == self.run.run_id:  # else kept from an earlier run
             self._counts.setdefault(ended.publisher, data)
             if ended.extremes:
                 self._closing["extremes"] = ended.extremes
@@ -213,6 +162,22 @@ class LiveRecorder:
             self._completeness.end(
                 ended.publisher, counts, complete=ended.complete, reason=ended.reason
             )
+
+
+def _open_new(directory: Path, run: RunDescription, **options: Any) -> RunWriter:
+    """Open ``<name>.mcap``; where that exists ``<name>_2.mcap``, and so on.
+
+    A live recording has its name from the beginning, so that what a kill leaves is where one looks
+    for it.
+    """
+    while True:
+        path = free_path(directory / f"{file_name(run.name)}.mcap")
+        try:
+            return RunWriter(path, run, {"origin": LIVE}, **options)
+        except RecordingError as error:
+            if not (isinstance(error.__cause__, FileExistsError) and os.path.lexists(path)):
+                raise
+            # another recorder was faster
 
 
 #: Topic, bytes and log time (ns) of a message; None for the latest log time so far.
@@ -226,41 +191,26 @@ class _WriteQueue:
     the waking costs more than the writing.  A failure is kept: every later call raises it too.
     """
 
-    def __init__(self, limit: int) -> None:
+    def __init__(self, writer: RunWriter, limit: int) -> None:
         self._limit = limit
         self._lock = threading.Condition()
         self._waiting: list[_Waiting] = []
         self._bytes = 0  # that the waiting messages need
         self._closing: dict[str, str] | None = None
-        self._thread: threading.Thread | None = None
         self._error: RecordingError | None = None
         self._last_written = time.monotonic()
-
-    def begin(self, first: _Waiting, open_file: Callable[[], RunWriter]) -> Path:
-        """Open the file and start writing: the first message, then what waits; return its path."""
-        try:
-            writer = open_file()
-        except RecordingError as error:
-            self._error = error
-            raise
-        self._waiting.insert(0, first)
         self._thread = threading.Thread(target=self._work, args=(writer,), daemon=True)
         self._thread.start()
-        return writer.path
 
     def put(self, *message: *_Waiting) -> None:
         """Append a message; wait while the queue is full and the disk writes."""
         with self._lock:
-            if self._is_full and self._thread is not None:
+            if self._is_full:
                 self._lock.wait_for(
                     lambda: not self._is_full or self._error is not None, STALL_LIMIT
                 )
             if self._is_full and self._error is None:
-                self._error = (
-                    RecordingError("no run is announced that the waiting messages could belong to")
-                    if self._thread is None
-                    else _stall_error(STALL_LIMIT)
-                )
+                self._error = _stall_error(STALL_LIMIT)
             self._check()
             self._waiting.append(message)
             self._bytes += len(message[1]) + MESSAGE_COST
@@ -274,7 +224,7 @@ class _WriteQueue:
             self._closing = closing
             self._last_written = time.monotonic()
             self._lock.notify_all()
-        while self._thread is not None and self._thread.is_alive():
+        while self._thread.is_alive():
             self._thread.join(WRITE_PERIOD)
             if time.monotonic() - self._last_written > CLOSE_LIMIT:
                 raise self._error or _stall_error(CLOSE_LIMIT)
@@ -319,4 +269,4 @@ class _WriteQueue:
 
 
 def _stall_error(limit: float) -> RecordingError:
-    return RecordingError(f"the disk has written nothing for {limit:g} s: the recording ends there")
+    return RecordingError(f"the disk wrote nothing for {limit:g} s: the recording ends there")

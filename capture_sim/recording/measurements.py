@@ -110,7 +110,7 @@ def _exact(exact: Deferred[dict[str, Series]], quantity: str) -> Series:
 
 
 def trial_in(bag: Bag) -> Trial:
-    """Return what the live detector knew of the run in a bag."""
+    """Return the run's measurements that the live detector had."""
     last = math.inf
     if not bag.is_simulated and bag.holds(topics.CAPTURE_STATUS) and bag.statuses[-1].final:
         last = bag.statuses[-1].t + TICK

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 #: The nodes whose streams a run is made of.
 PUBLISHERS = (SIMULATOR, LAUNCHER, CAPTURE_DETECTOR)
-#: What the metadata record of such a file says of its origin.
+#: Origin of such a file, in the metadata record.
 SIMULATED = "simulated"
 #: Samples whose messages are made at a time.
 BLOCK = 4096
@@ -58,7 +58,7 @@ def write_run(
     overwrite: bool = False,
     others: Mapping[Topic, Sequence[tuple[float, bytes]]] | None = None,
 ) -> Path:
-    """Write a simulated run as one MCAP file: what simulator, launcher and detector send.
+    """Write a simulated run as one MCAP file with the messages of all nodes.
 
     The file gets its name when it is complete.  An earlier file of that name is replaced if it is
     the same simulated run, of one scene and software, or any simulated run with ``overwrite``.

@@ -84,7 +84,7 @@ class Playback:
 
 
 class PlayedCounts:
-    """Adapts the counts of a recorded run to what is played of it.
+    """Adapts the counts of a recorded run to the topics that are played.
 
     ``roles`` take part themselves: their recorded counts are left out.  ``skipped`` are the numbers
     of messages that are not played, by topic: the counts are lowered by them.

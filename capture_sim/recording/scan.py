@@ -66,7 +66,7 @@ class RecordContents(NamedTuple):
 
 
 class Damage(NamedTuple):
-    """Why a file was not read to its end, and what was read of it."""
+    """Why a file was not read to its end, and how far it was read."""
 
     start: int  # first byte that was not read
     size: int  # of the file, bytes
@@ -90,7 +90,7 @@ def scan(path: Path, ratio: float) -> Iterator[RecordContents | Damage]:
     be read or is not an MCAP file.
     """
     try:
-        # without opening what has no size: a pipe would block
+        # without opening a file without a size: a pipe would block
         if not path.is_dir() and not path.stat().st_size:
             raise RecordingError(f"{path}: not an MCAP file")
         with path.open("rb") as file:
@@ -139,7 +139,7 @@ def _contents_of_file(
 
 
 def _contents_of_record(record: McapRecord, limit: int) -> RecordContents:
-    """Return what a record contains; at most ``limit`` bytes are unpacked."""
+    """Return a record's contents; at most ``limit`` bytes are unpacked."""
     if isinstance(record, Chunk):
         return _records_in(_unpacked(record, limit))
     if isinstance(record, Message):
@@ -215,7 +215,7 @@ def _written(file: IO[bytes], file_size: int) -> int | None:
 
 
 def _in_words(error: Exception) -> str:
-    """Return what is wrong with a record whose parsing raised one of _DAMAGE."""
+    """Return the fault of a record whose parsing raised one of _DAMAGE."""
     if isinstance(error, _INCOMPLETE):
         return "incomplete record"
     if isinstance(error, InvalidMagic):

@@ -18,7 +18,7 @@ from capture_sim.recording.bag_file import BagFile, TopicEntry, dump, qos_profil
 
 #: Name of the attachment that holds the resolved scene.
 SCENE_ATTACHMENT = "scene.yaml"
-#: Name of the metadata record that says how the run was made.
+#: Name of the metadata record that describes how the run was made.
 RUN_METADATA = "capture_sim"
 #: Its entry of topics that were recorded under other names: a line NAME:=RECORDED_NAME for each.
 REMAPS = "remaps"

@@ -169,7 +169,7 @@ def find_scene(name_or_path: str | Path, folder: Path | None = None) -> Path:
 
 
 def read_scene(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """Return the values of a scene file over those of the files that it extends, unchecked.
+    """Return the values of a scene file, merged over the files that it extends, unchecked.
 
     ``extended_by`` are the files that led here, first to last.  SceneError if a file is invalid.
     """
@@ -195,7 +195,7 @@ def read_scene(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Any]
 
 
 def _merged(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested values with those of ``changes`` in place of the base's."""
+    """Return nested values of the base, replaced by ``changes`` where given."""
     merged = dict(base)
     for key, value in changes.items():
         if isinstance(value, Mapping):

@@ -608,7 +608,7 @@ class Scene(Checked):
         return text
 
 
-#: Pattern of scene names, which recordings, images and paths in the viewer contain.
+#: Pattern of scene names, which recordings, plots and paths in the viewer contain.
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 
 

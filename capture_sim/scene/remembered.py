@@ -20,7 +20,7 @@ class Remembered(Generic[T]):
     """A function of a scene that keeps its last result.
 
     It is called again where one of its ``fields`` is another object.  The function must read no
-    other field, and nobody may change its result.
+    other field, and its result must not be changed.
     """
 
     def __init__(self, function: Callable[[Scene], T], fields: tuple[str, ...]) -> None:

@@ -20,7 +20,7 @@ def template(scene: Scene) -> str:
     Parts that the scene does not have are null, followed by their fields as comments.
     """
     head = [
-        "# A complete scene. Replace its values by those of your bench. A value without a unit is",
+        "# A complete scene. Replace its values by your bench's. A value without a unit is",
         "# in the unit of its comment; with a unit it is a text, e.g. '5 mm'.",
         "# null removes an optional part.",
     ]

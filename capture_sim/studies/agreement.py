@@ -50,7 +50,7 @@ class Agreement:
 
 
 def agreement(recording: Run, simulation: Run) -> Agreement:
-    """Compare the exact samples, events and contact of a recording with those of a simulation.
+    """Compare the exact samples, events and contact of a recording with a simulation.
 
     A recording that ends early is compared up to its end.
     """

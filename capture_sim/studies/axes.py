@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from collections.abc import Iterable
@@ -39,13 +40,15 @@ class Axis:
 
 
 def declaration_of(scene: Scene, name: str) -> Declared:
-    """Return what a field of a scene, or of the approach, may be; SceneError if there is none."""
+    """Return the declaration of a field of scene or approach; SceneError if there is none."""
     owner, _, field = name.rpartition(".")
     part = Approach if owner == "approach" else type(paths.get(scene, owner) if owner else scene)
     what = declared(part).get(field) if issubclass(part, Checked) else None
-    if what is None or what.kind not in (float, int, str, bool):
+    if what is None or dataclasses.is_dataclass(what.kind):
         near = paths.alike([*paths.field_names(scene), *APPROACH], name)
         raise SceneError(f"{name}: no number of {scene.name}; {paths.did_you_mean(near)}")
+    if what.kind not in (float, int, str, bool):
+        raise SceneError(f"{name}: must be a single value, is a list; change it with --set")
     return what
 
 
@@ -82,7 +85,7 @@ def _valued(what: Declared, name: str, values: list[Any], text: str) -> Axis:
 
 
 def _brief(text: str) -> str:
-    """Return what was given, in a length that fits a message."""
+    """Return a value as given, shortened to fit a message."""
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 

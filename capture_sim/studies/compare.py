@@ -36,7 +36,7 @@ class Figure(NamedTuple):
 
 @dataclass(frozen=True)
 class Side:
-    """One of two compared runs, and what it is compared by."""
+    """One of two compared runs, with its series and touches."""
 
     run: Run
     contact: float  # first contact, s since the release
@@ -83,7 +83,7 @@ def sides(a: Run, b: Run) -> tuple[Side, Side]:
 
 
 def characteristics(side: Side, *, sampled: bool = False) -> dict[str, Figure]:
-    """Return the run in a few numbers, by name with the unit; what was not measured is absent.
+    """Return the run in a few numbers, by name with the unit; unmeasured values are absent.
 
     Forces and times are those of the touches located between samples, if they are recorded.
     ``sampled`` adds the largest sample of the force, for a run whose other side has only that.
@@ -125,7 +125,7 @@ def characteristics(side: Side, *, sampled: bool = False) -> dict[str, Figure]:
 
 
 def _sources(run: Run) -> dict[str, dict[str, Series]]:
-    """Return every series of each quantity by its topic; what was not measured is absent."""
+    """Return every series of each quantity by its topic; unmeasured quantities are absent."""
     sources = {
         name: {source: series for source, series in by_source.items() if series.t.size}
         for name, by_source in run.series.items()

@@ -16,7 +16,7 @@ from capture_sim.studies.sweep import FAILED
 if TYPE_CHECKING:
     import pandas
 
-#: Loads that are shown first, in pictures and printed tables.
+#: Loads that are shown first, in plots and printed tables.
 MAIN_LOADS = ("max_normal_force", "max_axial_stroke_in", "max_torsion", "nearest_distance")
 #: A capture whose tip is outside the capture zone again.
 CAPTURED_LEFT = f"{CAPTURED}, left again"

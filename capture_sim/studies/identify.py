@@ -7,8 +7,9 @@ problem, (J^T J)^-1, widened where the residuals are larger than the noise expla
 
 Poses, stroke and torsion depend on the parameters smoothly, through all chatter of the tip.
 A sampled contact force does not: a touch lasts half a millisecond, so samples hit or miss
-it.  Instead of it the first touches serve, by the time of their start and their peak force,
-in a second stage when the fit is near enough for the touches to correspond.
+it.  Instead of it the first touches serve, by the time of their start and their impulse, in a
+second stage when the fit is near enough for the touches to correspond.  Touches that were not found
+in a sampled force, e.g. those of a simulation, serve by their peak force.
 
 On a real bench the release is seldom known as well as a touch is measured, and a millisecond of it
 moves other parameters by many of their standard errors, in fits that look good
@@ -34,7 +35,7 @@ from capture_sim.scene.paths import changed, get, paths_of, range_of, usual_size
 from capture_sim.series import PARTS, Series, series_in
 from capture_sim.touches import Touches
 
-#: Name of a parameter that stands in no scene: when the chaser was really released, s after the
+#: Name of a parameter that is in no scene: the actual time of the release, s after the
 #: time that is taken for it.
 RELEASE = "release"
 #: Its scale, s.
@@ -51,7 +52,7 @@ _FAILED = 1e3
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit gave; units are those of the scene's fields."""
+    """Result of a fit, in the units of the scene's fields."""
 
     names: tuple[str, ...]  # of the parameters
     values: np.ndarray  # (k,)
@@ -154,7 +155,7 @@ def identify(
 
 
 def is_explained(fit: Fit) -> bool:
-    """Whether what is left of the measurements is no larger than noise makes it."""
+    """True if the residuals are no larger than the noise floor."""
     # chi2 of so many freedoms scatters by sqrt(2 / freedom); noise is known to some 10 %
     return fit.chi2 < 1.2 + 5.0 * math.sqrt(2.0 / fit.freedom)
 
@@ -223,7 +224,7 @@ class _Problem:
         return scene
 
     def simulate(self, x: np.ndarray) -> tuple[dict[str, Series], np.ndarray]:
-        """Return what would be measured, and the touches; times are s since the release at x."""
+        """Return predicted measurements and touches; times are s since the release at x."""
         self.evaluations += 1
         scene = self.scene_at(x)
         times = np.unique(self._since_release(self._times, x))
@@ -264,8 +265,10 @@ class _Problem:
             missing = np.full(touches.start.size - n, _FAILED)
             began = touches.start[:n] - self._released(x)
             start = (began - touched["start"][:n]) / touches.start_noise
-            peak = (touches.peak[:n] - touched["peak_force"][:n]) / touches.peak_noise
-            parts += [start, missing, peak, missing]
+            expected = touched["impulse" if touches.strength == "impulse" else "peak_force"][:n]
+            measured = getattr(touches, touches.strength)[:n]
+            strength = (measured - expected) / touches.strength_noise[:n]
+            parts += [start, missing, strength, missing]
         return np.concatenate(parts)
 
     def jacobian(

@@ -1,4 +1,4 @@
-"""Limits of loads: what the runs of a study must keep."""
+"""Limits of loads that the runs of a study must keep."""
 
 from __future__ import annotations
 

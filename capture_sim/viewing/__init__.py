@@ -1,1 +1,1 @@
-"""Pictures, rerun recordings, reports and live views of runs."""
+"""Plots, rerun recordings, reports and live views of runs."""

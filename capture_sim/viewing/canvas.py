@@ -28,7 +28,7 @@ _SAVING: Any = {"svg.hashsalt": "capture_sim", "svg.fonttype": "path"}
 
 
 def new_figure(width: float, height: float, *, arranged: bool = True) -> Figure:
-    """Return an empty figure, inches, that arranges what is drawn in it.
+    """Return an empty figure, inches, that arranges its contents.
 
     That measures every tick; :func:`rows_of_axes` of one that does not is three times as fast.
     """
@@ -50,7 +50,7 @@ def subplots(
 ) -> tuple[Figure, np.ndarray]:
     """Return a figure, inches, and its axes (rows, columns), in the common look.
 
-    ``grid`` says along which axis there is one: "x", "y", "both", None; ``font`` is the size of
+    ``grid`` is the axis that has one: "x", "y", "both", None; ``font`` is the size of
     labels, in points; ``options`` go on to matplotlib's ``Figure.subplots``.
     """
     figure = new_figure(width, height)
@@ -145,7 +145,7 @@ def _skip_contents_in_layout(figure: Figure) -> None:
 
 
 def save(figure: Figure, *paths: Path | str) -> Path:
-    """Save a figure, as PNG, SVG or whatever a path's ending says; return the last path.
+    """Save a figure, in the format of each path's ending, e.g. PNG or SVG; return the last path.
 
     Under several names it is laid out once.
 

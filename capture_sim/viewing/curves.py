@@ -371,7 +371,7 @@ def split(values: np.ndarray, holds: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def has_ledger(run: Run) -> bool:
-    """Return whether the run's energies are known; those of a measured run are not."""
+    """Return True if the run's energies are known; a measured run has none."""
     return run.is_exact
 
 

@@ -1,4 +1,4 @@
-"""What pictures of runs are made of: the cone and the tip's path in it, quantities over time."""
+"""Parts of plots of runs: the cone and the tip's path in it, quantities over time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,14 @@ from capture_sim.viewing.curves import (
     path_length,
     split,
 )
-from capture_sim.viewing.shapes import cone_shapes, tip_in_cone, wall, wall_name_place
+from capture_sim.viewing.shapes import (
+    ARC_POINTS,
+    cone_shapes,
+    tip_bound,
+    tip_in_cone,
+    wall,
+    wall_name_place,
+)
 
 _MM = 1e3
 _PATH, CURVE = 3.2, 2.1  # widths in contact, points
@@ -34,14 +41,47 @@ def draw_trajectory(axes: Axes, shown: Sequence[PlottedRun]) -> None:
     scenes = [plotted.scene for plotted in shown]
     for scene in {(scene.cone, scene.probe.tip_radius): scene for scene in scenes}.values():
         _draw_cone(axes, scene)
-    axes.plot([], [], color=style.GREY, lw=1.0, ls=style.FREE_LINE, label="limit of the centre")
-    axes.plot([], [], color=style.ZONE, lw=2.3, label="capture zone")
     (_draw_thin_paths if are_many(shown) else _draw_paths)(axes, shown)
     across, upwards = frame_bounds(scenes[0])
     axes.set(aspect="equal", xlim=across, ylim=upwards)
     axes.set_xlabel("x in the cone's frame, from BE  [mm]")
     axes.set_ylabel("y in the cone's frame  [mm]")
     axes.legend(loc="upper right", fontsize=style.SMALL, framealpha=1.0).set_zorder(10)
+
+
+def draw_end(axes: Axes, plotted: PlottedRun) -> None:
+    """Mark the last place of the tip's centre; draw the part around it large if it is near BE."""
+    path = tip_in_cone(plotted.samples) * _MM
+    zone = plotted.scene.detector.capture_radius * _MM
+    near = bool(np.hypot(*path[-1]) < 3.0 * zone)
+    if not near and not _in_frame(plotted.scene, path)[-1]:
+        return
+    text = f"end, {plotted.samples['t'][-1]:.3g} s"
+    look: dict[str, Any] = {"marker": "o", "ms": 8, "color": plotted.colour, "mec": style.BLACK}
+    if near:
+        axes = _draw_enlarged(axes, plotted, zone)
+        axes.plot(0.08, 0.08, transform=axes.transAxes, **look)
+        axes.text(0.15, 0.08, text, transform=axes.transAxes, va="center", fontsize=style.SMALL)
+    else:
+        side = 1 if path[-1, 1] > 0.0 else -1  # away from the axis, where no path is
+        place: dict[str, Any] = {"textcoords": "offset points", "va": "center", "ha": "center"}
+        axes.annotate(text, tuple(path[-1]), (0, 15 * side), fontsize=style.SMALL, **place)
+    axes.plot(*path[-1], zorder=8, **look)
+
+
+def _draw_enlarged(axes: Axes, plotted: PlottedRun, zone: float) -> Axes:
+    """Draw the surroundings of BE once more in the lower right corner; return these axes."""
+    right, low = frame_bounds(plotted.scene)[0][1], frame_bounds(plotted.scene)[1][0]
+    side = 0.7 * right
+    corner = (right - side - 3.0, low + 3.0, side, side)
+    close = axes.inset_axes(corner, transform=axes.transData)
+    draw_shapes(close, cone_shapes(plotted.scene).values(), _MM)
+    close.plot(0, 0, marker="+", ms=10, mew=1.8, color=style.ZONE, zorder=4)
+    draw_path(close, plotted.scene, plotted.samples, plotted.holds, plotted.colour)
+    close.set(xlim=(-3.2 * zone, 1.2 * zone), ylim=(-2.2 * zone, 2.2 * zone), xticks=[], yticks=[])
+    close.set_title("near BE, enlarged", fontsize=style.SMALL)
+    axes.indicate_inset_zoom(close, edgecolor=style.GREY)
+    return close
 
 
 def _draw_paths(axes: Axes, shown: Sequence[PlottedRun]) -> None:
@@ -55,7 +95,7 @@ def _draw_paths(axes: Axes, shown: Sequence[PlottedRun]) -> None:
             axes.plot([], [], label=plotted.label, **run_look(plotted, _PATH))
     colour = style.GREY if several else shown[0].colour
     for name in held_by(shown):
-        axes.plot([], [], color=colour, label=f"centre, {name}", **line_look(name, _PATH))
+        axes.plot([], [], color=colour, label=f"tip's centre, {name}", **line_look(name, _PATH))
 
 
 def _draw_thin_paths(axes: Axes, shown: Sequence[PlottedRun]) -> None:
@@ -64,13 +104,38 @@ def _draw_thin_paths(axes: Axes, shown: Sequence[PlottedRun]) -> None:
         path = tip_in_cone(plotted.samples) * _MM
         path = path[_in_frame(plotted.scene, path, margin=50.0)]
         axes.plot(*path.T, color=style.BLUE, lw=0.8, alpha=0.4, zorder=5)
-    axes.plot([], [], color=style.BLUE, lw=0.8, label=f"centre, {len(shown)} runs")
+    axes.plot([], [], color=style.BLUE, lw=0.8, label=f"tip's centre, {len(shown)} runs")
 
 
 def _draw_cone(axes: Axes, scene: Scene) -> None:
-    """Draw walls with their names, bound of the tip's centre and capture zone."""
+    """Draw walls, limit of the tip's centre and capture zone, with their names."""
     draw_shapes(axes, cone_shapes(scene).values(), _MM)
     axes.plot(0, 0, marker="+", ms=10, mew=1.8, color=style.ZONE, zorder=4)
+    outside = max(scene.detector.capture_radius, scene.probe.tip_radius) * _MM
+    beside: dict[str, Any] = {"textcoords": "offset points", "fontsize": style.SMALL}
+    axes.annotate(
+        "capture zone",
+        (outside, 0.0),
+        (3, 0),
+        color=style.ZONE,
+        va="center",
+        clip_on=True,
+        **beside,
+    )
+    # between the limit and the wall, where no path is
+    limit = tip_bound(scene.cone, scene.probe.tip_radius, 1)[ARC_POINTS - 1 : ARC_POINTS + 1]
+    x, y = np.concatenate([limit, wall(scene.cone, 1)]).mean(axis=0) * _MM
+    axes.text(
+        x,
+        y,
+        "limit of the tip's centre",
+        color=style.GREY,
+        fontsize=style.SMALL - 0.5,
+        rotation=-np.rad2deg(scene.cone.half_angle),
+        rotation_mode="anchor",
+        ha="center",
+        va="center",
+    )
     for side, (*_, name) in style.WALLS.items():
         x, y = wall_name_place(scene.cone, side) * _MM
         axes.text(
@@ -90,7 +155,7 @@ def _draw_cone(axes: Axes, scene: Scene) -> None:
 def draw_path(
     axes: Axes, scene: Scene, samples: np.ndarray, holds: np.ndarray, colour: str
 ) -> None:
-    """Draw the path of the tip's centre; its line tells what holds the tip."""
+    """Draw the path of the tip's centre; the line's style shows contact, free and latched."""
     path = tip_in_cone(samples) * _MM
     near = _in_frame(scene, path, margin=50.0)  # beyond, no line is needed
     for name, part in split(path[near], holds[near]).items():
@@ -148,11 +213,23 @@ def draw_quantity(
     """Draw a quantity over time, as far as it lies in the window, so that the axis fits it."""
     limits = {limit for plotted in shown for limit in quantity.limits(plotted.scene)}
     for limit in sorted(limits, key=lambda limit: limit.value):
-        name = f"{limit.name}, {limit.value:g} {quantity.unit}"
         if quantity.from_zero:
-            axes.axhspan(0.0, limit.value, color=limit.colour, alpha=0.2, lw=0, label=name)
+            axes.axhspan(0.0, limit.value, color=limit.colour, alpha=0.2, lw=0)
         else:
-            axes.axhline(limit.value, color=limit.colour, lw=1.6, ls=":", label=name)
+            axes.axhline(limit.value, color=limit.colour, lw=1.6, ls=":")
+        # on the left, where the tip is still far from BE; within the axes
+        above = quantity.from_zero or limit.value < 0.0
+        axes.annotate(
+            f"{limit.name}, {limit.value:g} {quantity.unit}",
+            (0.01, limit.value),
+            (0, 2 if above else -2),
+            xycoords=axes.get_yaxis_transform(),
+            textcoords="offset points",
+            color=style.DARK if limit.colour == style.GREY else limit.colour,
+            fontsize=style.SMALL - 1.5,
+            va="bottom" if above else "top",
+            clip_on=True,
+        )
     if quantity.sign:
         axes.axhline(0.0, color=style.GREY, lw=0.8)
     if are_many(shown):

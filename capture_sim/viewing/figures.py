@@ -25,8 +25,6 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.legend_handler import HandlerTuple
-from matplotlib.lines import Line2D
 from matplotlib.transforms import Bbox
 
 from capture_sim.results import first_touch
@@ -50,20 +48,21 @@ from capture_sim.viewing.curves import (
     time_label,
 )
 from capture_sim.viewing.drawing import (
+    draw_end,
     draw_markers,
     draw_quantity,
     draw_trajectory,
     line_look,
     run_look,
 )
-from capture_sim.viewing.shapes import state_shapes, tip_in_world
+from capture_sim.viewing.shapes import TARGET, placed, state_shapes, tip_in_world, wall
 from capture_sim.viewing.source import (
     SHORTEST_WINDOW,
     start_word,
     time_window,
 )
 
-_OUTSIDE = 3  # runs beyond which a legend covers too much of its axes
+_OUTSIDE = 3  # entries beyond which a legend covers too much of its axes
 _ENTRY = 2.3  # inches, about the width of an entry of a legend
 _MARGIN = 0.02  # m, round the vehicles
 _PANEL = 5.4  # inches, width of a picture of a strip
@@ -123,22 +122,16 @@ def over_time(
     _draw_over_time([axes], [PANELS[panel]], shown, window)
     contact = PANELS[panel].located is None
     if contact or len(shown) > 1:
-        _label_runs(axes, shown, contact=contact, outside=len(shown) > _OUTSIDE)
+        entries = len(shown) + (len(held_by(shown)) if contact else 0)
+        _label_runs(axes, shown, contact=contact, outside=entries > _OUTSIDE)
     return figure
 
 
-def sheet(
-    panels: Sequence[str],
-    runs: Runs,
-    *,
-    labels: Sequence[str] | None = None,
-    window: Window | None = None,
-    aligned: bool = False,
-) -> Figure:
-    """Draw four panels over one time."""
-    shown = plotted_runs(runs, labels, aligned=aligned)
+def sheet(panels: Sequence[str], runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
+    """Draw four panels over one time; several runs are aligned at their first touch."""
+    shown = plotted_runs(runs, labels, aligned=isinstance(runs, Sequence) and len(runs) > 1)
     figure, axes_grid = subplots(12.5, 8.2, 2, 2, sharex=True)
-    _draw_over_time(axes_grid.flat, [PANELS[panel] for panel in panels], shown, window)
+    _draw_over_time(axes_grid.flat, [PANELS[panel] for panel in panels], shown, None)
     for letter, axes in zip("abcd", axes_grid.flat, strict=True):
         axes.set_title(f"({letter})", fontsize=style.FONT, loc="left")
     for axes in axes_grid[0]:
@@ -154,6 +147,8 @@ def trajectory(
     shown = plotted_runs(runs, labels, window=window)
     figure, [[axes]] = subplots(7.4, 7.6, grid=None)
     draw_trajectory(axes, shown)
+    if len(shown) == 1:
+        draw_end(axes, shown[0])
     return figure
 
 
@@ -234,45 +229,33 @@ def energies(
     return figure
 
 
-def snapshots(
-    runs: Runs,
-    *,
-    times: Sequence[float] | None = None,
-    count: int = 6,
-    labels: Sequence[str] | None = None,
-) -> Figure:
+def snapshots(runs: Runs, *, count: int = 6, labels: Sequence[str] | None = None) -> Figure:
     """Draw a run as a strip of views from above, or several runs as strips side by side.
+
+    The views are at the start, at the first touch, and evenly spread up to the verdict.
 
     Parameters
     ----------
     runs
         One, or several.
-    times
-        Times of the views, s since the start; None chooses them for each run: the start, the
-        first touch, and the rest evenly spread up to the verdict.
     count
-        Number of views of each run, at least 2, if no times are given.
+        Number of views of each run, at least 2.
     labels
         One name for each run; None for the names of the scenes.
     """
     shown = plotted_runs(runs, labels)
-    instants = [
-        np.asarray(times, float) if times is not None else snapshot_times(plotted.run, count)
-        for plotted in shown
-    ]
     # a single strip is laid in two columns, read line by line
-    single, height = len(shown) == 1, max(map(len, instants))
+    single = len(shown) == 1
     columns = 2 if single else columns_for(len(shown))
-    rows = -(-height // 2) if single else height * -(-len(shown) // columns)
+    rows = -(-count // 2) if single else count * -(-len(shown) // columns)
     figure, axes_grid = subplots(1.0, 1.0, rows, columns, grid=None, sharex=True, sharey=True)
     strips = [
-        axes_grid[i // columns * height : (i // columns + 1) * height, i % columns]
+        axes_grid[i // columns * count : (i // columns + 1) * count, i % columns]
         for i in range(len(shown))
     ]
     used: list[Axes] = []
-    for strip, plotted, when in zip(
-        [axes_grid.ravel()] if single else strips, shown, instants, strict=True
-    ):
+    for strip, plotted in zip([axes_grid.ravel()] if single else strips, shown, strict=True):
+        when = snapshot_times(plotted.run, count)
         for letter, axes, t in zip(string.ascii_lowercase, strip, when, strict=False):
             _draw_instant(axes, plotted, float(t), letter)
             used.append(axes)
@@ -286,22 +269,25 @@ def snapshots(
     high += 0.09 * (right - left)  # room for the caption
     axes_grid[0, 0].set(xlim=(left, right), ylim=(low, high))  # of all
     panel = _PANEL * (high - low) / (right - left) + 0.12
-    figure.set_size_inches((_PANEL + 0.75) * columns, rows * panel + 1.5)
+    figure.set_size_inches((_PANEL + 0.75) * columns, rows * panel + 1.0)
     for column in axes_grid.T:
         lowest = [axes for axes in column if axes in used][-1]
         lowest.set_xlabel("x in the world  [m]")
     for axes in axes_grid[:, 0]:
         axes.set_ylabel("y  [m]")
-    key: Any = Line2D([], [], color=style.DARK, lw=3.0), tuple(map(_path_line, shown))
-    figure.legend(
-        key,
-        ["walls of the cone", "path of the tip's centre"],
-        handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)},
-        loc="outside lower center",
-        ncols=2,
-        fontsize=style.SMALL,
-    )
+    _name_parts(used[0], shown[0])
     return figure
+
+
+def _name_parts(axes: Axes, plotted: PlottedRun) -> None:
+    """Name the cone, at its upper lip, and the path by its colour, in the first view."""
+    q = plotted.samples["q"][0]
+    lip = placed(wall(plotted.scene.cone, 1)[1:] - (plotted.scene.cone.L_T, 0.0), *q[list(TARGET)])
+    look: dict[str, Any] = {"textcoords": "offset points", "fontsize": style.SMALL}
+    axes.annotate("cone", tuple(lip[0]), (-3, 4), ha="right", va="center", **look)
+    tip = tip_in_world(plotted.scene, q[None])[0]
+    look |= {"color": plotted.colour, "ha": "right", "va": "top"}
+    axes.annotate("tip's path", tuple(tip), (0, -12), **look)
 
 
 def snapshot_times(run: Run, count: int) -> np.ndarray:
@@ -321,8 +307,9 @@ def state_at(run: Run, t: float) -> np.ndarray:
 
 def legend_above(figure: Figure) -> None:
     """Explain all labelled curves of a figure in one legend above it, each label once."""
-    for earlier in figure.legends:
-        earlier.remove()
+    for earlier in [*figure.legends, *(axes.get_legend() for axes in figure.axes)]:
+        if earlier is not None:
+            earlier.remove()
     entries = dict[str, Artist]()
     for axes in figure.axes:
         handles, names = axes.get_legend_handles_labels()
@@ -345,7 +332,8 @@ def _draw_instant(axes: Axes, plotted: PlottedRun, t: float, letter: str) -> Non
         meaning = start_word(plotted.scene)
     draw_shapes(axes, state_shapes(plotted.scene, state_at(run, t), plotted.colour))
     path = tip_in_world(plotted.scene, run.samples["q"][run.samples["t"] <= t][::5])
-    axes.add_line(_path_line(plotted, path))
+    axes.plot(*path.T, color=plotted.colour, lw=1.8, zorder=2.5)  # over the bodies
+    axes.plot(*path[0], "o", ms=4, color=plotted.colour, mfc="white", zorder=2.6)
     axes.set_aspect("equal")
     axes.text(
         0.012,
@@ -358,12 +346,6 @@ def _draw_instant(axes: Axes, plotted: PlottedRun, t: float, letter: str) -> Non
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5},
         zorder=9,
     )
-
-
-def _path_line(plotted: PlottedRun, path: np.ndarray | None = None) -> Line2D:
-    """Return the tip's path, (n, 2), m, as a line over the bodies; without points for a legend."""
-    x, y = ([], []) if path is None else path.T
-    return Line2D(x, y, color=plotted.colour, lw=1.8, zorder=2.5)
 
 
 def _draw_over_time(

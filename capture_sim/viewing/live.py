@@ -63,7 +63,7 @@ class LiveView:
         self._verdict = ""
 
     def take(self, samples: np.ndarray) -> None:
-        """Add samples, (n,) of dtype SAMPLE, later than those before."""
+        """Add samples, (n,) of dtype SAMPLE, later than all earlier ones."""
         if self._recording is None:
             return
         if not self._joined:

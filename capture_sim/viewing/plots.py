@@ -51,6 +51,8 @@ _OVERLAID = ("impact_force", "distance", "axial_performance", "torsional_perform
 def plot(*runs: Run, labels: Sequence[str] | None = None) -> Figure:
     """Return a plot of one run, or of several runs overlaid, as a matplotlib figure.
 
+    Several runs are aligned at their first touch.
+
     Parameters
     ----------
     runs
@@ -182,7 +184,7 @@ def _draw_over_time(
             _mark_verdict(axes, run, window)
             axes.set_ylabel("distance\n[mm]")
         elif quantity is STROKE:
-            inwards, outwards = (loads[f"max_axial_stroke_{way}"] * 1e3 for way in ("in", "out"))
+            inwards, outwards = (loads[f"max_axial_stroke_{side}"] * 1e3 for side in ("in", "out"))
             titles.append(f"Axial buffer: whole run {inwards:.2f} mm in, {outwards:.2f} mm out")
         else:
             largest = loads["max_torsion"] * 1e3
@@ -350,7 +352,7 @@ def key_moments(run: Run) -> list[Moment]:
         (left, right), (low, high) = frame_bounds(run.drawn_scene)
         x, y = places[-1] * _MM
         if nearest == len(t) - 1:
-            # as of a run that was broken off: one place, one letter
+            # as in a run that ended early: one position, one letter
             found[-1] = found[-1]._replace(meaning=f"{found[-1].meaning} (end)")
         elif left < x < right and low < y < high:
             add(float(t[-1]), "end of the run")

@@ -56,21 +56,21 @@ def error_statement(run: Run) -> str:
     text = (
         f"a run made now gives the same states {same}. One with a finer integration (a hundredth "
         f"of the tolerance) differs by up to {early:.1e} m until the end of the first contact and "
-        f"{late:.1e} m until the end of the run, angles counted by what they move the tip. "
+        f"{late:.1e} m until the end of the run, angles counted by the tip's displacement. "
     )
     if check.same_touches:
         text += "It has the same touches in the same order. "
     else:
         text += (
-            "Its sequence of touches is another: what follows the first difference is one of "
-            "several possible courses. "
+            "Its sequence of touches differs: the motion after the first difference is one of "
+            "several possible. "
         )
     residual = float(np.abs(run.samples["energy_residual"]).max())
     return f"{text}The energy ledger closes to {residual:.1e} J."
 
 
 _MEASURED = (
-    "measured. Its errors are those of the sensors, which the recording does not contain. Nothing "
+    "measured. Its errors are the sensors' errors, which the recording does not contain. Nothing "
     "is known between two messages, so the length of a touch is known to one message period."
 )
 

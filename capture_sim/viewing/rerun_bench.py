@@ -73,17 +73,17 @@ class BenchLog:
         strip = _level(shapes.tip_in_world(self._scene, samples["q"]), above)
         self._shape("trail", rr.LineStrips3D([strip], radii=0.0012, colors=self._colour))
         path = shapes.tip_in_cone(samples) * _MM
-        self._draw("way", rr.LineStrips2D([path], radii=0.3, colors=_BLACK, draw_order=20.0))
+        self._draw("path", rr.LineStrips2D([path], radii=0.3, colors=_BLACK, draw_order=20.0))
         ends = np.flatnonzero(np.diff(np.concatenate([[0], touching.astype(np.int8), [0]])))
         pieces = [path[a : b + 1] for a, b in zip(ends[::2], ends[1::2], strict=True)]
         thick = rr.LineStrips2D(pieces, radii=0.9, colors=self._colour, draw_order=21.0)
-        self._draw("way_in_contact", thick)
+        self._draw("path_in_contact", thick)
         latched = [path[samples["phase"] == Phase.LATCHED]]
         strip = rr.LineStrips2D(latched, radii=0.6, colors=_LATCHED, draw_order=22.0)
-        self._draw("way_latched", strip)
+        self._draw("path_latched", strip)
 
     def trail_piece(self, samples: np.ndarray) -> None:
-        """Log the next piece of the tip's path, drawn together with those before it."""
+        """Log the next piece of the tip's path, joined to the earlier pieces."""
         strips = [shapes.tip_in_cone(samples) * _MM]
         self._stream.columns(
             f"{self._map}/trail", samples["t"][-1:], rr.LineStrips2D, strips=strips

@@ -116,13 +116,16 @@ def _close_up(scene: Scene, name: str, *, live: bool) -> rrb.Spatial2DView:
 def ticked(low: float, high: float) -> Window:
     """Return a range that has at least two labelled ticks in it, widened where it must be.
 
-    Rerun labels multiples of a power of ten: a curve from -8 to 8 has a label at 0 only.
+    Rerun labels multiples of a power of ten: a curve from -8 to 8 has a label at 0 only, and gets
+    one on either side.
     """
     if not high > low:
         return low, high
     step = 10.0 ** math.ceil(math.log10((high - low) / _MOST_LABELS))
     before, after = math.ceil(low / step) - 1, math.floor(high / step) + 1
     margin = _MARGIN * (high - low)
+    if min(-low, high) > 0.5 * step:
+        return min(low, -step - margin), max(high, step + margin)
     while after - before < 3:  # fewer than two multiples between them
         if after * step - high < low - before * step:
             high, after = after * step + margin, after + 1

@@ -93,7 +93,7 @@ class PlotLog:
             static(f"states/{name}/{lane}", shown)
 
     def curves(self, samples: np.ndarray, *, force: bool = True) -> None:
-        """Log the curves of samples, (n,), without what is not measured (NaN)."""
+        """Log the curves of samples, (n,), without NaN, i.e. unmeasured values."""
         for entity, plot in PLOTS.items():
             if force or plot.quantity is not FORCE:
                 self._curve(entity, samples["t"], plot.quantity.of(samples))

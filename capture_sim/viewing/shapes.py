@@ -1,4 +1,4 @@
-"""Shapes of the bench and the cone from above, m: what pictures, report and rerun draw.
+"""Shapes of the bench and the cone from above, m, for plots, report and rerun.
 
 Cone's frame here: x from the centre of BE along the target's +x, y along its +y.  The chaser comes
 from -x; the walls open towards it.
@@ -19,6 +19,8 @@ from capture_sim.viewing import style
 CHASER = (0, 1, 2)
 TARGET = (5, 6, 7)
 THETA_P, H = 3, 4
+#: Points of the arc round each end of a wall, see :func:`tip_bound`.
+ARC_POINTS = 40
 
 # for the eye only, m
 _BALL_RADIUS = 0.009
@@ -159,7 +161,7 @@ def tip_in_cone(samples: np.ndarray) -> np.ndarray:
     return np.stack([-samples["tip_axial"], samples["tip_lateral"]], axis=-1)
 
 
-def tip_bound(cone: Cone, tip_radius: float, side: int, count: int = 40) -> np.ndarray:
+def tip_bound(cone: Cone, tip_radius: float, side: int) -> np.ndarray:
     """Return where the tip's centre is when the tip just touches a wall, (k, 2), m.
 
     A line along the wall's face, and an arc round each of its ends.
@@ -167,8 +169,8 @@ def tip_bound(cone: Cone, tip_radius: float, side: int, count: int = 40) -> np.n
     inner, lip = wall(cone, side)
     # the face looks to the axis and to the chaser: against side * y, turned by the half-angle
     facing = -side * (np.pi / 2 + cone.half_angle)
-    at_edge = np.linspace(-side * np.pi / 2, facing, count)  # from the throat on
-    at_lip = np.linspace(facing, facing - side * np.pi / 2, count)
+    at_edge = np.linspace(-side * np.pi / 2, facing, ARC_POINTS)  # from the throat on
+    at_lip = np.linspace(facing, facing - side * np.pi / 2, ARC_POINTS)
     arcs = [
         centre + tip_radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         for centre, angle in ((inner, at_edge), (lip, at_lip))

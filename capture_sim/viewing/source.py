@@ -47,7 +47,7 @@ def distinct_names(names: Sequence[str]) -> list[str]:
 
 
 def every_touch(run: Run) -> np.ndarray:
-    """Return the touches (m,) of dtype TOUCH, including those during which the run ended.
+    """Return the touches (m,) of dtype TOUCH, including a touch in progress at the run's end.
 
     Those end at the last sample; their peak, which was not located, is that of the samples.
     """

@@ -1,4 +1,4 @@
-"""Studies in pictures: design, and two runs compared."""
+"""Plots of studies: design, and two runs compared."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _draw_candidates(axes: Axes, design: Design) -> None:
         axes.set_axis_off()
         return
     parts = {
-        "no capture": (style.LIGHT, [x for x in alone if x.verdict != CAPTURED]),
+        "no capture, or given up": (style.LIGHT, [x for x in alone if x.verdict != CAPTURED]),
         "captured, a limit exceeded": (
             style.ORANGE,
             [x for x in alone if x.verdict == CAPTURED and not x.feasible],
@@ -60,7 +60,7 @@ def _draw_candidates(axes: Axes, design: Design) -> None:
         "*",
         color=style.BLACK,
         ms=15,
-        label="design" if design.met else "nearest",
+        label="design" if design.met else "closest to the limits",
     )
     axes.axvline(across.value * across.load.factor, color=style.VERMILION, ls="--", label="limit")
     if OBJECTIVE in limits:
@@ -173,21 +173,21 @@ def _draw_dampers(axes: Axes, design: FirstContactDesign) -> None:
 def draw_trade_off(designs: Sequence[FirstContactDesign]) -> Figure:
     """Return a figure of forces and of the buffer over axial stroke: one unit for each axis."""
     figure, panels = subplots(16.0, 8.4, 2, 3, sharex=True)
-    normal, buffer, k_A, k_T, c_A, key = panels.flat
+    normal, buffer, k_A, k_T, c_A, note = panels.flat
     met = [design for design in designs if design.met]
     stroke = [design.target.axial_stroke * 1e3 for design in met]
 
-    def draw(axes: Axes, values: list[float], colour: str, label: str = "") -> None:
-        axes.plot(stroke, values, "o-", color=colour, label=label)
+    def draw(axes: Axes, values: list[float], colour: str) -> None:
+        axes.plot(stroke, values, "o-", color=colour)
 
-    for axes, load, label in (
-        (normal, "max_normal_force", "whole run"),
-        (buffer, "max_buffer_force", "whole run"),
-    ):
-        loads = [design.outcome.loads[load] for design in met if design.outcome is not None]
-        draw(axes, loads, style.DARK, label)
+    whole_run = [
+        [design.outcome.loads[load] for design in met if design.outcome is not None]
+        for load in ("max_normal_force", "max_buffer_force")
+    ]
+    draw(normal, whole_run[0], style.DARK)
+    draw(buffer, whole_run[1], style.DARK)
     first = [design.damped.peak_force for design in met if design.damped is not None]
-    draw(normal, first, style.GREY, "first contact")
+    draw(normal, first, style.GREY)
     for axes, name, unit, title in (
         (k_A, "k_A", "N/m", "Axial spring"),
         (k_T, "k_T", "N m/rad", "Torsional spring"),
@@ -198,25 +198,28 @@ def draw_trade_off(designs: Sequence[FirstContactDesign]) -> Figure:
         axes.set_ylabel(f"{name}  [{unit}]")
         axes.set_title(title, fontsize=15)
     low, high = np.array([d.capturing or (math.nan, math.nan) for d in met]).reshape(-1, 2).T
-    c_A.fill_between(stroke, low, high, color=style.GREEN, alpha=0.2, lw=0, label="captures")
+    c_A.fill_between(stroke, low, high, color=style.GREEN, alpha=0.2, lw=0)
     for axes, title in ((normal, "Peak normal force"), (buffer, "Peak force of the buffer")):
         axes.set_ylabel("force  [N]")
         axes.set_title(title, fontsize=15)
     rejected = [d.target.axial_stroke * 1e3 for d in designs if not d.met]
     for axes in (normal, buffer, k_A, k_T, c_A):
-        axes.set_ylim(bottom=0.0)
+        axes.set_ylim(0.0, 1.12 * axes.get_ylim()[1])
         for place in rejected:
-            label = "no buffer meets the target" if place == rejected[0] else ""
-            axes.axvline(place, color=style.GREY, ls=":", lw=1.5, label=label)
-    for axes in (k_A, k_T, c_A):
+            axes.axvline(place, color=style.GREY, ls=":", lw=1.5)
         axes.set_xlabel("target axial stroke  [mm]")
-    entries = dict[str, Any]()
-    for axes in (normal, c_A):
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            entries.setdefault(label, handle)
-    key.set_axis_off()
-    k_A.tick_params(labelbottom=True)
-    key.legend(entries.values(), entries.keys(), loc="center", fontsize=style.FONT)
+        axes.tick_params(labelbottom=True)
+    if met:
+        named: dict[str, Any] = {"fontsize": style.SMALL, "ha": "right"}
+        for loads, name in ((whole_run[0], "whole run"), (first, "first contact")):
+            at = stroke[-1], loads[-1]
+            normal.annotate(name, at, (0, 7), textcoords="offset points", **named)
+        buffer.text(stroke[-1], whole_run[1][0], "whole run", **named)
+        c_A.text(stroke[-1], 0.5 * (low + high)[-1], "captures", color=style.GREEN, **named)
+    note.set_axis_off()
+    if rejected:
+        text = "dotted: a target that no buffer meets"
+        note.text(0.5, 0.5, text, fontsize=style.FONT, ha="center", transform=note.transAxes)
     return figure
 
 
@@ -224,7 +227,7 @@ _BEFORE = 0.05  # share of the window that is shown before the first contact
 
 
 def draw_comparison(runs: Sequence[Side], labels: Sequence[str], window: float) -> Figure:
-    """Draw what was measured in two runs over each other, and where the vehicles went.
+    """Draw the measurements of two runs over each other, and the vehicles' paths.
 
     A touch lasts about a millisecond, so it is drawn as what was located: a stem up to its
     peak, with a bar under it that is as wide as the touch and whose area is its impulse.  Only

@@ -1,7 +1,7 @@
 """One look for everything that is drawn: colours, marks, units, sizes.
 
 Colours, most of them of Okabe and Ito (2008), differ for people with any common colour vision.
-Each means one thing in pictures, report and rerun: a run keeps its colour and marker, a wall its
+Each means one thing in plots, report and rerun: a run keeps its colour and marker, a wall its
 triangle, a verdict its colour and marker.  The bench itself is drawn in greys.
 """
 

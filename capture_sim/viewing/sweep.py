@@ -1,4 +1,4 @@
-"""Sweeps in pictures: curve over one axis, map over two, loads of draws, effect of the inputs."""
+"""Plots of sweeps: curve over one axis, map over two, loads of draws, effect of the inputs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from capture_sim.studies.limits import Limit
 from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.sweep import FAILED
 from capture_sim.viewing import style
-from capture_sim.viewing.canvas import subplots
+from capture_sim.viewing.canvas import columns_for, hide_unused, subplots
 
 if TYPE_CHECKING:
     import pandas
@@ -85,7 +85,7 @@ def draw_sweep(
     indices: Sequence[Indices] = (),
     limits: Sequence[Limit] = (),
 ) -> dict[str, Figure]:
-    """Return the figures of a sweep by name, those that its axes allow.
+    """Return the figures of a sweep that its axes allow, by name.
 
     ``indices`` are those of the main loads, from runs of Saltelli's design; ``title`` is the name
     of the scene.  ``limits`` are marked.
@@ -185,7 +185,7 @@ def draw_map(
 
     A cross marks each run that exceeds a limit.
 
-    The two with the most values are across and up; each combination of the others has a panel.
+    The two with the most values are the x and y axes; each combination of the others has a panel.
     """
     across, up = sorted(axes, key=lambda axis: -len(set(axis.values)))[:2]
     across, up = (axis for axis in axes if axis in (across, up))
@@ -299,7 +299,7 @@ def draw_loads(table: pandas.DataFrame, title: str, limits: Sequence[Limit]) -> 
                 computed[name].quantile(share) * shown.factor,
                 color=style.BLACK,
                 ls=line,
-                label=f"{share:.0%}",
+                label=f"{share * 100:g} % of the runs are below",
             )
         _mark_limits(panel.axvline, name, limits)
         panel.set_xlabel(shown.label)
@@ -319,49 +319,66 @@ def draw_loads(table: pandas.DataFrame, title: str, limits: Sequence[Limit]) -> 
 
 
 def draw_tornado(table: pandas.DataFrame, correlations: pandas.DataFrame, title: str) -> Figure:
-    """Return the rank correlation of each input with the main loads and with capture, as bars."""
-    columns = list(correlations)
-    height = 2.0 + 0.45 * len(correlations)
-    figure, panels = subplots(
-        3.0 + 3.4 * len(columns), height, 1, len(columns), grid="x", font=12.0, sharey=True
-    )
-    order = correlations.abs().max(axis=1).sort_values().index
-    for panel, name in zip(panels.flat, columns, strict=True):
+    """Return the rank correlation of each input with the main loads and with capture, as bars.
+
+    The input with the strongest correlation is at the top.
+    """
+    order = correlations.abs().max(axis=1).sort_values(ascending=False).index
+    runs = len(plain_rows(computed_rows(table)))
+    titles = [_load(name).name if name in MAIN_LOADS else "capture" for name in correlations]
+    figure, panels = _bar_panels(list(order), titles, f"{title}: effect of the inputs, {runs} runs")
+    for panel, name in zip(panels, correlations, strict=True):
         values = correlations.loc[order, name].fillna(0.0)
         colours = [style.VERMILION if value < 0 else style.BLUE for value in values]
         panel.barh(range(len(order)), values, color=colours, height=0.7)
-        panel.axvline(0.0, color=style.BLACK, lw=0.8)
         panel.set_xlim(-1.05, 1.05)
-        panel.set_title(_load(name).name if name in MAIN_LOADS else "capture", fontsize=12)
-    panels[0, 0].set_yticks(range(len(order)), list(order))
     figure.supxlabel("rank correlation (Spearman)", fontsize=12)
-    runs = len(plain_rows(computed_rows(table)))
-    figure.suptitle(f"{title}: effect of the inputs, {runs} runs", fontsize=14)
     return figure
 
 
 def draw_indices(indices: Sequence[Indices], inputs: Sequence[str], title: str) -> Figure:
-    """Return Sobol's first and total indices of each input for each load, with 95 % intervals."""
-    figure, panels = subplots(
-        3.0 + 3.4 * len(indices),
-        2.4 + 0.6 * len(inputs),
-        *(1, len(indices)),
-        grid="x",
-        font=12.0,
-        sharey=True,
-    )
-    at = np.arange(len(inputs))
-    for panel, found in zip(panels.flat, indices, strict=True):
+    """Return Sobol's first and total indices of each input for each load, with 95 % intervals.
+
+    The input with the largest total index is at the top.
+    """
+    order = np.argsort(-np.max([found.total for found in indices], axis=0), kind="stable")
+    titles = [_load(found.load).name for found in indices]
+    headline = f"{title}: effect of the inputs, {indices[0].used} base samples"
+    figure, panels = _bar_panels([inputs[i] for i in order], titles, headline)
+    at = np.arange(len(order))
+    for panel, found in zip(panels, indices, strict=True):
         for place, values, interval, colour, label in (
-            (at + 0.2, found.first, found.first_interval, style.BLUE, "first"),
-            (at - 0.2, found.total, found.total_interval, style.SKY, "total"),
+            (at - 0.2, found.first, found.first_interval, style.BLUE, "first"),
+            (at + 0.2, found.total, found.total_interval, style.SKY, "total"),
         ):
-            panel.barh(place, values, 0.38, xerr=interval, color=colour, label=label, capsize=3)
-        panel.axvline(0.0, color=style.BLACK, lw=0.8)
-        panel.set_xlim(-0.25, 1.25)
-        panel.set_title(_load(found.load).name, fontsize=12)
-    panels[0, 0].set_yticks(at, list(inputs))
-    panels[0, -1].legend(fontsize=11)
+            bars: dict[str, Any] = {
+                "xerr": interval[order],
+                "color": colour,
+                "label": label,
+                "capsize": 3,
+            }
+            panel.barh(place, values[order], 0.38, **bars)
+    panels[-1].legend(fontsize=11)
     figure.supxlabel("Sobol index: share of the variance, 95 % interval", fontsize=12)
-    figure.suptitle(f"{title}: effect of the inputs, {indices[0].used} base samples", fontsize=14)
     return figure
+
+
+def _bar_panels(
+    inputs: Sequence[str], titles: Sequence[str], headline: str
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with a panel for each title, and its axes; the first input is at the top."""
+    columns = columns_for(len(titles))
+    rows = math.ceil(len(titles) / columns)
+    height = 1.2 + rows * (0.7 + 0.5 * len(inputs))
+    figure, panels = subplots(
+        3.0 + 3.4 * columns, height, rows, columns, grid="x", font=12.0, sharex=True, sharey=True
+    )
+    used = list(panels.flat)[: len(titles)]
+    hide_unused(panels, used)
+    for panel, title in zip(used, titles, strict=True):
+        panel.axvline(0.0, color=style.BLACK, lw=0.8)
+        panel.set_title(title, fontsize=12)
+    panels[0, 0].set_yticks(range(len(inputs)), list(inputs))
+    panels[0, 0].set_ylim(len(inputs) - 0.5, -0.5)
+    figure.suptitle(headline, fontsize=14)
+    return figure, used

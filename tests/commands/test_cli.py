@@ -88,7 +88,7 @@ def test_run_beside_a_bench_recording_leaves_it_and_its_picture(tmp_path, capsys
     assert (recording.read_bytes(), picture.read_bytes()) == before
     assert (tmp_path / "tilt_p10_2.mcap").is_file()
     assert (tmp_path / "tilt_p10_2.png").stat().st_size > 50_000
-    assert f"image in {tmp_path / 'tilt_p10_2.png'}" in capsys.readouterr().out
+    assert f"plot in {tmp_path / 'tilt_p10_2.png'}" in capsys.readouterr().out
 
 
 def test_command_that_made_no_run_leaves_earlier_results(tmp_path, capsys, monkeypatch):
@@ -131,10 +131,10 @@ def test_scenes_and_show(capsys):
     "command, step, message",
     [
         (["run", "tilt_0", "paper_undamped"], "run.simulate", "only the recordings named above"),
-        (["run", "paper_undamped"], "run.draw", "named above are complete, other images"),
+        (["run", "paper_undamped"], "run.draw", "named above are complete, other plots"),
         (["report", "tilt_0", "--out", "x.html"], "report.save_report", "x.html is not written"),
         (["view", "tilt_0"], "view.open_runs", "nothing is written"),
-        (["view", "paper_undamped"], "view.draw", "named above are complete, other images"),
+        (["view", "paper_undamped"], "view.draw", "named above are complete, other plots"),
     ],
 )
 def test_ctrl_c_says_what_is_written(command, step, message, tmp_path, monkeypatch, capsys):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 
 import pytest
@@ -12,7 +13,7 @@ from matplotlib.image import imread
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.commands import output, view
-from capture_sim.commands.inputs import load
+from capture_sim.commands.inputs import load, open_runs
 from capture_sim.recording.offline import write_run
 from capture_sim.viewing.figures import pictures_of
 from capture_sim.viewing.source import distinct_names
@@ -34,6 +35,38 @@ def test_pictures_of_one_run_leave_an_earlier_overview(recorded, tmp_path):
     assert main(["view", path, "--out", str(tmp_path)]) == 0
     assert {file.name for file in tmp_path.iterdir()} == {"tilt_0.png", "runs.rrd", "overview.png"}
     assert (tmp_path / "overview.png").read_text() == "of earlier runs"
+
+
+def test_plots_and_reports_go_next_to_the_recording(recorded, tmp_path, monkeypatch):
+    """Not into the current folder; and what `run` has drawn stays as it is."""
+    pytest.importorskip("rerun", reason="needs rerun")
+    folder, elsewhere = tmp_path / "runs", tmp_path / "elsewhere"
+    folder.mkdir()
+    elsewhere.mkdir()
+    for path in recorded:
+        shutil.copy(path, folder)
+    for name in ("tilt_0.png", "overview.png", "runs.rrd"):
+        (folder / name).write_text("of earlier runs")
+    before = set(folder.iterdir())
+    monkeypatch.chdir(elsewhere)
+    paths = ["../runs/tilt_0.mcap", "../runs/tilt_p10.mcap"]
+    assert [main([command, *paths]) for command in ("view", "compare", "report")] == [0, 0, 0]
+    assert not list(elsewhere.iterdir())
+    new = {file.name for file in set(folder.iterdir()) - before}
+    assert new == {"plots", "tilt_0_vs_tilt_p10.png", "report.html"}
+    assert (folder / "plots" / "overview.png").is_file()
+    for name in ("tilt_0.png", "overview.png", "runs.rrd"):
+        assert (folder / name).read_text() == "of earlier runs"
+
+
+def test_of_a_run_that_was_recorded_again_the_newest_is_shown(recorded, tmp_path, capsys):
+    """As after a second `make run`; a file of another run stays, whatever its name."""
+    for name, source in (("a", 0), ("a_2", 0), ("a_3", 1), ("b", 0)):
+        shutil.copyfile(recorded[source], tmp_path / f"{name}.mcap")
+        os.utime(tmp_path / f"{name}.mcap", (1.0, 1.0 if name == "a_2" else 2.0))
+    runs = open_runs([str(tmp_path / f"{name}.mcap") for name in ("a", "a_2", "a_3", "b")], None)
+    assert [run.name for run in runs] == ["a", "a_3", "b"]
+    assert "a_2.mcap: left out" in capsys.readouterr().out
 
 
 def test_pictures_and_titles_bear_the_recordings_names(recorded, tmp_path, capfd):

@@ -105,8 +105,8 @@ VERDICTS = [
     ([(0.1, 0.0, 0), *IN_ZONE, (0.05, 0.0, 0.5)], "rebound", "retreated 20 mm from 3.01 mm"),
     # past BE, inside the throat and outside of it
     ([(0.101, 0.0, 0), (-0.02, 0.0, 0.3)], "captured", "tip passed BE"),
-    ([(0.1, 0.09, 0), (-0.02, 0.09, 0.5)], "missed", "tip passed BE 90.00 mm beside the axis"),
-    ([*AWAY, (0.2, 0.0, 0.5)], "missed", "moved away without contact, 150.00 mm from BE"),
+    ([(0.1, 0.09, 0), (-0.02, 0.09, 0.5)], "missed", "tip passed BE 90.00 mm off the axis"),
+    ([*AWAY, (0.2, 0.0, 0.5)], "missed", "moved away without contact; closest"),
     # a run that ends: before and after a contact, at the wall, leaving it by 4 and by 7 mm
     ([*AWAY, (0.15, 0.0, 0.1)], "missed", "run ended without contact, tip 150.00 mm from BE"),
     ([*AWAY, (0.16, 0.0, 0.1)], "missed", "run ended without contact, tip 160.00 mm from BE"),
@@ -136,13 +136,6 @@ def test_retreat_after_contact_is_a_rebound(scene):
     rebound = next(s for s in statuses if s.state is CaptureState.REBOUND)
     assert rebound.distance > rebound.nearest_distance + scene.detector.min_retreat
     assert statuses[-1].state is CaptureState.REBOUND
-
-
-def test_standing_short_of_be_is_stuck(scene):
-    statuses = verdict(scene, lead(*TO_THE_FACE, (0.03625, 0.03, 2.0)))
-    stuck = next(s for s in statuses if s.state is CaptureState.STUCK)
-    assert stuck.t == pytest.approx(0.6 + scene.detector.min_still_time, abs=0.05)
-    assert statuses[-1].final
 
 
 def test_nothing_measured_is_undecided(scene):
@@ -205,14 +198,6 @@ def test_a_tip_that_swings_by_less_than_the_bound_is_at_rest(scene):
     stuck = next(s for s in verdict(scene, path) if s.state is CaptureState.STUCK)
     assert stuck.reason.startswith("at rest 47.")
     assert stuck.t == pytest.approx(0.6 + scene.detector.min_still_time, abs=0.05)
-
-
-def test_a_verdict_does_not_change_any_more(scene):
-    path = lead((0.1, 0.0, 0), (0.003, 0.0, 0.5), (0.003, 0.0, 0.5), (0.2, 0.0, 1.0))
-    statuses = verdict(scene, path)
-    states = [s.state for s in statuses]
-    first = states.index(CaptureState.CAPTURED)
-    assert set(states[first:]) == {CaptureState.CAPTURED}
 
 
 @pytest.mark.parametrize("name", ["tilt_0", "tilt_p10", "paper_undamped", "paper_designed"])

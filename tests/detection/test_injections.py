@@ -45,7 +45,7 @@ COUNT = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "2"))
 NS = 1_000_000_000
 
 
-@pytest.mark.parametrize("rate", [60.0, 120.0, 240.0])
+@pytest.mark.parametrize("rate", [60.0, 240.0])
 @pytest.mark.parametrize("name", QUALITIES)
 def test_wrong_frames_change_no_verdict(name, rate):
     result = walk(QUALITIES[name], rate, np.random.default_rng(1), COUNT)
@@ -196,9 +196,9 @@ def random_scene(rng):
 PACKAGED = ("paper_clamped", "paper_undamped", "paper_designed", "paper_case_1", "paper_case_3")
 
 
-@pytest.mark.parametrize("block", range(4))
+@pytest.mark.parametrize("block", range(2))
 def test_no_bounce_is_rejected(block):
-    """Of the packaged and 200 random scenes, from 0.3 s before the first touch to 1 s after."""
+    """Of the packaged and 100 random scenes, from 0.3 s before the first touch to 1 s after."""
     rng = np.random.default_rng([block, 5])
     scenes = [random_scene(rng) for _ in range(50)]
     if block == 0:

@@ -43,7 +43,7 @@ def test_a_flight_beside_the_throat_is_missed_at_any_rate(speed, rate):
         measurements = disturbed(result, noise, np.random.default_rng(0), rate * finer)
         measured, _ = judge(scene, measurements)
         for status in (result.statuses[-1], run_to_verdict(scene), measured):
-            assert "beside the axis" in status.reason
+            assert "off the axis" in status.reason
         verdicts = result.verdict, run_to_verdict(scene).verdict, measured.state.label
         assert set(verdicts) == {"missed"}
 

@@ -1,4 +1,4 @@
-"""What README and docs show works: their code runs and prints what they say, their site builds.
+"""What README and docs show works: their code runs and prints what they say.
 
 A block of code is a fence, and runs in a folder that has `.venv` and the recordings of `make run`:
 
@@ -14,7 +14,6 @@ A block of code is a fence, and runs in a folder that has `.venv` and the record
 
 import ast
 import contextlib
-import html
 import itertools
 import json
 import re
@@ -23,13 +22,11 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections import Counter
-from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
-from urllib.parse import unquote
-from xml.etree import ElementTree
 
 import pytest
 import yaml
@@ -39,7 +36,7 @@ from capture_sim.cli import command_parser, main
 from capture_sim.recording.offline import write_run
 from capture_sim.samples import TOUCH
 from capture_sim.scene.parts import Scene
-from tools import reference
+from tools import reference, setup_env
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
@@ -161,7 +158,8 @@ def test_commands_between_the_lines_are_understood(page):
     found = INLINE.findall((ROOT / page).read_text())
     for block in blocks(page):
         if block.left_out == "minutes":
-            found += re.findall(r"^capture-sim (.*)$", block.text, re.MULTILINE)
+            commands = [command for command, _ in commands_of(block)]
+            found += [c.removeprefix("capture-sim ") for c in commands if "capture-sim " in c]
     for line in found:
         command, *arguments = shlex.split(line)
         parser = command_parser(command)
@@ -171,10 +169,11 @@ def test_commands_between_the_lines_are_understood(page):
 
 def commands_of(block):
     """Return each command of a block, and the lines that it is to print."""
+    lines = re.sub(r" *\\\n *", " ", block.text).splitlines()
     if block.language == "sh":
-        return [(line, []) for line in block.text.splitlines()]
+        return [(line, []) for line in lines]
     found = []
-    for line in block.text.splitlines():
+    for line in lines:
         if line.startswith("$ "):
             found.append((line[2:], []))
         else:
@@ -282,23 +281,6 @@ def test_a_recording_is_read_by_others(recordings, tmp_path, run):
     assert "mean" in out
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    """The folder of the built site; a warning fails the build."""
-    folder = tmp_path_factory.mktemp("site") / "site"
-    build = [sys.executable, "-m", "mkdocs", "build", "-q", "-d", str(folder)]
-    subprocess.run(build, cwd=ROOT, check=True)
-    return folder
-
-
-def test_site_has_every_page_and_starts_with_the_readme(site):
-    for page in (ROOT / "docs").glob("*.md"):
-        assert (site / page.stem / "index.html").is_file(), page
-    start = (site / "index.html").read_text()
-    assert "The three experiments" in start
-    assert 'href="tutorial/"' in start
-
-
 def test_pages_stay_few_and_short():
     """What is written, without what is measured or made from the code."""
     texts = {page.stem: page.read_text() for page in (ROOT / "docs").glob("*.md")}
@@ -308,6 +290,16 @@ def test_pages_stay_few_and_short():
     del written["scenes"]  # made by tools/reference.py, as is the part of nodes.md
     generated = re.compile(r"<!-- generated.*?<!-- end of generated -->", re.DOTALL)
     assert sum(generated.sub("", text).count("\n") for text in written.values()) <= 2600
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_no_command_is_wider_than_a_window(page):
+    """Long ones are broken by a backslash."""
+    for block in blocks(page):
+        if block.language in ("sh", "console"):
+            lines = block.text.splitlines()
+            typed = [n for n in lines if block.language == "sh" or n.startswith(("$ ", "    -"))]
+            assert not [line for line in typed if len(line) > 100]
 
 
 def test_one_way_to_start():
@@ -353,6 +345,22 @@ def test_the_python_page_has_every_key_of_the_results(recordings):
     assert set(TOUCH.names) <= named
 
 
+def test_examples_need_what_a_set_up_installs():
+    """Packages for the tests, or a reader's own, would stop him at the first line."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    installed = setup_env.requirements(project, setup_env.RUN_EXTRAS)
+    names = {re.match(r"[\w-]+", requirement)[0].replace("-", "_") for requirement in installed}
+    scripts = list((ROOT / "examples").glob("*.py"))
+    own = {"capture_sim", "rclpy", *(path.stem for path in scripts)}
+    for path in scripts:
+        trees = ast.walk(ast.parse(path.read_text()))
+        found = {node.module for node in trees if isinstance(node, ast.ImportFrom)}
+        trees = ast.walk(ast.parse(path.read_text()))
+        found |= {a.name for node in trees if isinstance(node, ast.Import) for a in node.names}
+        found = {name.partition(".")[0] for name in found} - sys.stdlib_module_names - own
+        assert {name for name in found if not name.endswith("_msgs")} <= names, path.name
+
+
 def strings_of(folder):
     """Return each text in the code of a folder, pieces of f-strings apart."""
     trees = [ast.parse(path.read_text()) for path in folder.rglob("*.py")]
@@ -373,67 +381,6 @@ def test_messages_of_the_page_on_errors_are_those_of_the_code():
             assert any(piece in text for text in texts), f"{message}: {piece!r}"
 
 
-class Text(HTMLParser):
-    """The text of a page's article outside of code and formulas."""
-
-    def __init__(self, page):
-        super().__init__()
-        self.text, self.open = "", Counter()
-        self.feed(page[page.index("<article") : page.index("</article>")])
-
-    def handle_starttag(self, tag, attributes):
-        self.open[tag] += 1
-
-    def handle_endtag(self, tag):
-        self.open[tag] -= 1
-
-    def handle_data(self, data):
-        if not any(self.open[tag] for tag in ("code", "pre", "math", "script", "style")):
-            self.text += data
-
-
-@pytest.mark.parametrize("page", ["", *(Path(page).stem for page in PAGES if "docs/" in page)])
-def test_no_markup_is_left_on_the_site(site, page):
-    text = Text((site / page / "index.html").read_text()).text
-    left = re.search(
-        r"\*\*|\*#|^\s*#+ |`|\$\S|\]\(|^\||:::|<!--|formula[bi][0-9a-f]{4}", text, re.M
-    )
-    assert not left, text[max(0, left.start() - 60) : left.end() + 60]
-
-
-def test_every_link_and_anchor_of_the_site_resolves(site):
-    """Also those in tables of contents and in docstrings, which a strict build does not check."""
-    pages = {path.resolve(): path.read_text() for path in site.rglob("*.html")}
-    names = {path: set(re.findall(r'\bid="([^"]+)"', text)) for path, text in pages.items()}
-    for path, text in pages.items():
-        if path.name == "404.html":
-            continue
-        for link in re.findall(r'<(?:a|img|link|script)\b[^>]*?\b(?:href|src)="([^"]*)"', text):
-            place, _, anchor = html.unescape(link).partition("#")
-            if re.match(r"https?:|data:|mailto:", place):
-                continue
-            target = (path.parent / place).resolve() if place else path
-            target = target / "index.html" if target.is_dir() else target
-            assert target.is_file(), f"{path}: {link}"
-            if anchor and target in names and anchor not in ("__tabbed", "__codelineno"):
-                assert unquote(anchor) in names[target], f"{path}: {link}"
-
-
-def test_steps_after_a_block_keep_their_numbers(site):
-    page = (site / "sweep" / "index.html").read_text()
-    assert [int(n) for n in re.findall(r'<ol start="(\d+)"', page)] == [2, 3, 2, 3, 2]
-
-
-def test_the_python_page_has_every_public_name_in_the_order_one_meets_it(site):
-    source = (ROOT / "docs" / "api.md").read_text()
-    named = re.findall(r"^::: capture_sim\.[\w.]*\b(\w+)$", source, re.MULTILINE)
-    assert named[:4] == ["simulate", "read_run", "Run", "plot"]
-    assert {name for name in dir(capture_sim) if name[0] != "_"} <= set(named)
-    page = (site / "api" / "index.html").read_text()
-    places = [page.index(f'id="{path}"') for path in re.findall(r"^::: (\S+)$", source, re.M)]
-    assert places == sorted(places)
-
-
 def how_to_pages():
     """Return the pages under How to, by the site's contents."""
     contents = yaml.safe_load((ROOT / "mkdocs.yml").read_text().replace("!!", ""))["nav"]
@@ -449,52 +396,3 @@ def test_every_how_to_has_blocks_that_run():
         "docs/your_rig.md",
         "docs/hardware_in_the_loop.md",
     }
-
-
-@pytest.fixture(scope="module")
-def hooks():
-    return SimpleNamespace(**runpy.run_path(str(ROOT / "docs" / "hooks.py")))
-
-
-def test_formulas_are_typeset_when_the_site_is_built(site):
-    """As MathML, the matrix with its rows and columns; showing them fetches nothing."""
-    page = (site / "model" / "index.html").read_text()
-    source = (ROOT / "docs" / "model.md").read_text()
-    written = source.count("```math") + len(re.findall(r"\$[^$\n]+\$", source))
-    assert len(re.findall("<math", page)) == written > 40
-    [matrix, *_] = re.findall("<mtable.*?</mtable>", page, re.DOTALL)
-    rows = [row.split("<mtd")[1:] for row in matrix.split("<mtr")[1:]]
-    assert [len(row) for row in rows] == [5] * 5
-    cells = [re.sub(r"^[^>]*>|<[^>]*>|\s|\u2061", "", html.unescape(cell)) for cell in rows[3]]
-    assert cells == ["⋅", "⋅", "⋅", "J", "0"]
-    loaded = re.findall(r'<(?:script|img|source)\b[^>]*?src="([^"]*)"', page)
-    loaded += re.findall(r'<link[^>]*?href="([^"]*)"[^>]*?rel="stylesheet"', page)
-    assert loaded
-    assert not [place for place in loaded if "//" in place]
-
-
-def test_no_fraction_index_or_power_of_a_formula_is_lost(hooks):
-    n_fractions = 0
-    for page in PAGES:
-        for found in hooks.MARK.finditer(hooks.with_marks((ROOT / page).read_text())):
-            source = bytes.fromhex(found[2]).decode()
-            tree = ElementTree.fromstring(re.sub(r"&\w+;", "", hooks.tex2mathml(source)))
-            tags = Counter(element.tag.rpartition("}")[2] for element in tree.iter())
-            scripts = len(re.findall(r"[_^]", source))
-            assert tags["msub"] + tags["msup"] + 2 * tags["msubsup"] == scripts, (page, source)
-            assert tags["mfrac"] == source.count(r"\frac"), (page, source)
-            n_fractions += tags["mfrac"]
-    assert n_fractions >= 7
-
-
-def test_a_formula_with_an_argument_that_docutils_misreads_is_rejected(hooks):
-    for formula in (r"\frac34 (1 - e^2)", "x^12", "h_10"):
-        with pytest.raises(ValueError, match="braces"):
-            hooks.mathml(formula, is_block=False)
-
-
-def test_a_dollar_in_code_is_no_formula(hooks):
-    text = "`$HOME` costs $x$ and 5 $ or 6 $\n\n```sh\necho $HOME $PATH\n```\n"
-    marked = hooks.with_marks(text)
-    assert marked == text.replace("$x$", hooks.mark("x", "i"))
-    assert "<mi>x</mi>" in hooks.on_page_content(marked)

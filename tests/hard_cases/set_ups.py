@@ -7,9 +7,14 @@ import math
 from typing import Any
 
 import numpy as np
+import pytest
 from four_bodies import momentum
+from random_accuracy import first_touch
+from random_scenes import wide_scenes
 
 from capture_sim import SimulationError, load_scene, simulate
+from capture_sim.hardware.law import Wrench
+from capture_sim.hardware.stage import LoopStage
 from capture_sim.run import Run
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import changed
@@ -170,3 +175,85 @@ def assert_conserved(result: Run, allowed: float) -> None:
     before, after = (momentum(result.scene, result.q[k], result.v[k]) for k in (0, -1))
     assert np.abs(after - before).max() <= allowed
     assert residual(result) < 1e-9 * result.samples["kinetic"][0]
+
+
+def pushed(force: float, changes: dict[str, Any], steps: int) -> tuple[LoopStage, np.ndarray]:
+    """A stage under a constant force (N) on the tip, inwards along the probe; strokes every ms."""
+    scene = in_a_row(0.5, {"buffer.c_A": 0.0, "initial.chaser.vx": 0.0} | changes)
+    stage = LoopStage(scene)
+    heading = scene.initial.target.theta
+    inwards = Wrench(-force * math.cos(heading), force * math.sin(heading))
+    strokes = []
+    for _ in range(steps):
+        stage.take_step(inwards)
+        strokes.append(stage.q[4] - scene.rest_length)
+    return stage, np.array(strokes)
+
+
+#: Speed of the heavy chaser, m/s, and the share of its mass that the probe's own may change.
+SPEED, LIGHT = 0.1, 1e-3
+ELASTIC = {"contact.law": "exact", "contact.restitution": 1.0}
+
+
+def heavy_run(changes: dict[str, Any], **options: Any) -> Run:
+    """A chaser of 10 t runs against a wall that does not move: one mass on the buffer.
+
+    The buffer has neither spring nor damper unless ``changes`` give them.
+    """
+    heavy = {
+        "chaser.mass": 1e4,
+        "chaser.inertia": 1e9,  # pushed from the front, it would turn away
+        "target.mass": 1e12,
+        "initial.chaser.vx": SPEED,
+        "friction.law": "none",
+        "buffer.k_A": 0.0,
+        "buffer.c_A": 0.0,
+        "buffer.k_T": 1e5,
+        "run.t_end": 1.6,
+        "run.rtol": 1e-10,
+        "run.state_rate": 1000.0,
+        "run.rate": 1.0,
+    }
+    # the chaser stands still there
+    return run(altered(anvil(1e-6, {}), heavy | changes), **options)
+
+
+#: Contacts that are hard on a buffer.
+HARD = {
+    "dead contact": ["contact.law=exact", "contact.restitution=0.001"],
+    "sticking tip": ["friction.law=coulomb", "friction.mu=1.5"],
+    "elastic": ["contact.law=exact", "contact.restitution=1", "buffer.c_A=0"],
+    "latch": [
+        "latch={radius: 0.02, stiffness: 2.0e+4, damping: 80.0}",
+        "initial.chaser.vx=0.3",
+    ],
+}
+
+
+def runs_of_all_methods(changes: list[str], step: float = 2e-6) -> list[Run]:
+    """Runs of the paper's bench to 40 ms; every method closes the ledger, and the ends agree."""
+    base, results = load_scene("paper_designed", changes), []
+    for method in METHODS:
+        settings = {"run.method": method, "run.step": step, "run.rtol": 1e-11}
+        result = run(altered(base, settings), t_end=0.04)
+        assert result.failure == ""
+        allowed = 1e-5 if method == "rk4" else 1e-9
+        assert residual(result) < allowed * result.samples["kinetic"][0]
+        results.append(result)
+    for result, allowed in zip(results[1:], (1e-8, 1e-5), strict=True):
+        assert result.q[-1] == pytest.approx(results[0].q[-1], abs=allowed)
+    return results
+
+
+#: Random benches that touch, by their number.
+RANDOM = (0, 1, 3, 4, 5, 7, 9, 10, 11, 12)
+
+
+def random_run(number: int, changes: dict[str, Any]) -> Run:
+    """The run of a random bench to 0.1 s after its first touch; its ledger closes."""
+    scene = altered(wide_scenes(number + 1)[number], changes)
+    result = run(scene, t_end=first_touch(scene) + 0.1)
+    assert result.failure == ""
+    assert result.touches.size > 0
+    assert residual(result) < 1e-6 * result.samples["kinetic"][0]
+    return result

@@ -60,7 +60,7 @@ def test_what_cannot_be_used_is_counted_by_its_reason():
         "stamped ahead of the loop": 1,
         "stamped by a wall clock; must be the stamp of the position it answers": 1,
         "stamped before the loop's start": 1,
-        "not newer than the one before": 2,
+        "not newer than the previous wrench": 2,
     }
     with pytest.raises(SafeStopError, match=r"0\.098 s: must be <= 0\.05 \(timeout\); 8 wr"):
         answers.check_latency(0.1)

@@ -112,8 +112,7 @@ def test_noise_and_bias_do_not_decide(noise, bias):
 # model
 
 
-@pytest.mark.parametrize("true", [1.0, 0.6, 0.3])
-@pytest.mark.parametrize("offset", [2e-5, -2e-5])
+@pytest.mark.parametrize("true, offset", [(1.0, -2e-5), (0.6, 2e-5), (0.3, -2e-5)])
 @pytest.mark.parametrize(
     "servo, duration, factor",
     [
@@ -127,7 +126,7 @@ def test_noise_and_bias_do_not_decide(noise, bias):
     ],
 )
 def test_the_model_holds_the_restitution_from_the_second_touch_on(
-    servo, duration, factor, offset, true
+    servo, duration, factor, true, offset
 ):
     """Lag up to one touch, noise 0.1 N, bias 0.5 N; from a stiffness wrong by two."""
     assert servo.lag <= duration
@@ -274,11 +273,6 @@ def test_energy_given_in_one_touch_is_not_given_again_in_the_next():
     assert len(loop.episodes) >= 1
     assert loop.stage.energy - energy <= 0.02 * (1.0 + 1e-9)
     assert "energy_limit" in why
-
-
-def test_default_limits_stop_nothing_on_a_soft_plate():
-    loop = Loop(LoopStage(SCENE), "model", WallLaw(1000.0), Limits())
-    assert run_in_process(loop, Rig(SCENE, WallLaw(2000.0)), 1.0) == ""
 
 
 def test_a_restitution_that_one_side_alone_has_is_not_known():

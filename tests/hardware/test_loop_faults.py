@@ -15,7 +15,7 @@ from capture_sim.hardware.loop import METHODS, Loop, run_in_process
 from capture_sim.hardware.rig import Cell, Rig, Servo, Transport
 from capture_sim.hardware.stage import LoopStage
 
-CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "300"))
+CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "162"))
 SCENE = load_scene("_loop")
 MASS = plate_mass(SCENE)
 LIMITS = Limits()
@@ -155,7 +155,7 @@ def test_no_fault_gives_more_energy_than_the_limit_and_every_stop_has_its_reason
                 text in why for text in ("must be <=", "disagree", "pushed in", "too soft")
             ), case
         stops.setdefault(kind, []).append(why.partition(": ")[2])
-    if CASES >= 300:  # each of these ends a loop at least once, and by its own reason
+    if CASES >= 162:  # each of these ends a loop at least once, and by its own reason
         for kind, reason in (
             ("silent", "latency of the wrench"),
             ("wall clock", "stamped by a wall clock"),

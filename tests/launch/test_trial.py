@@ -39,7 +39,7 @@ class Rig:
         self.trial = Trial(
             TrialGoal("c3", **goal),
             SCENE,
-            Launcher(SCENE, aborts=has_actuator),
+            Launcher(SCENE),
             self.interlocks,
             has_actuator=has_actuator,
             now=0.0,
@@ -313,6 +313,17 @@ def test_by_hand_nothing_is_refused_and_nothing_aborted():
     trial.cancel()
     rig.run(0.1)
     assert (trial.phase, trial.failure) == (TrialPhase.OVER, CANCELLED)
+
+
+def test_by_hand_no_deviation_aborts():
+    """Neither a chaser that is pushed twice as fast as planned nor one that is never let go."""
+    for travel in (lambda t: travel_at(2.0 * t), lambda t: 0.0):
+        rig = Rig(has_actuator=False, travel=travel)
+        rig.run(1.0)
+        rig.trial.set_launch(0.1, aborts=True)  # a parameter that is changed meanwhile
+        trial = rig.run(9.0)
+        assert trial.failure == ""
+        assert trial.launcher.status.state is not LauncherPhase.ABORTED
 
 
 @pytest.mark.parametrize("when", [0.0, 1.0, CONTACT + 0.5])

@@ -1,6 +1,7 @@
 """The capture detector's node: its parameters, and poses that no simulator sent."""
 
 import math
+import time
 from dataclasses import fields, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from capture_sim import load_scene, simulate
 from capture_sim.cli import main
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.detection.measurements import Source
+from capture_sim.messages.convert import Messages, RunDescription
 from capture_sim.messages.topics import (
     BUFFER_STATE,
     CAPTURE_CRITERIA,
@@ -21,18 +23,23 @@ from capture_sim.messages.topics import (
     CAPTURE_STATUS,
     CAPTURE_VERDICT,
     CHASER_POSE,
+    ROLL,
+    RUN_INFO,
     SIMULATOR,
     TARGET_POSE,
+    RunSource,
     topics_of,
 )
+from capture_sim.nodes.endpoints import message_class
 from capture_sim.nodes.node import BenchNode
+from capture_sim.nodes.roll import FREE, READY
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run, run_of
 from capture_sim.run import detect
 from capture_sim.scene.parts import Detector
-from tests.nodes.bench_client import PATIENCE, Client, give_back, take_participant
+from tests.nodes.bench_client import PATIENCE, Client, give_back, take_participant, wait_until
 
 #: The contact comes after 1.4 s, in place of 4.
 QUICK = "[string.impact_speed=0.3, run.t_end=2.5]"
@@ -116,9 +123,10 @@ def test_criteria_are_described_set_and_recorded(start, tmp_path, capfd):
     assert "within 5 mm of BE for 0.2 s" in said
     assert "recorded criterion: min_retreat = 0.03 m" in said
     # an older recording does not hold them
-    older = LiveRecorder(tmp_path / "older")
+    (info,) = run.raw(RUN_INFO)
+    older = LiveRecorder(tmp_path / "older", info)
     for topic in (*topics_of(SIMULATOR), *topics_of(CAPTURE_DETECTOR)):
-        for data in run.raw(topic) if topic is not CAPTURE_CRITERIA else ():
+        for data in run.raw(topic) if topic not in (RUN_INFO, CAPTURE_CRITERIA) else ():
             older.take(topic, data)
     old = older.close().path
     assert read_bag(old).criteria is None
@@ -129,6 +137,36 @@ def test_criteria_are_described_set_and_recorded(start, tmp_path, capfd):
 
 
 # benches without simulator
+
+
+def test_a_trial_waits_until_the_detector_has_measurements(start, make_bench, monkeypatch):
+    """Else a chaser is let go whose approach it misses, and there is no verdict."""
+    monkeypatch.setattr("capture_sim.nodes.capture_detector.SOURCES_TIMEOUT", PATIENCE)
+    detector = start("capture_detector", min_dwell=0.3)
+    scene = load_scene("tilt_0")
+    run = RunDescription.of(scene, "a trial", (), source=RunSource.TRIAL, announcer="/launcher#1")
+    launcher = make_bench("launcher", [RUN_INFO])
+    with Client() as client:
+        parts = client.listen(ROLL, lambda part: part.role == CAPTURE_DETECTOR)
+        make = Messages()
+        launcher.send(RUN_INFO, make.serialise(make.run_info(run)))
+        detector.wait_for("evaluated by min_dwell")
+        client.await_answers_of("/capture_detector")  # it waits, and its callbacks run
+        assert {part.state for part in parts} <= {FREE}
+        rig = make_bench("rig", [CHASER_POSE, TARGET_POSE])
+        kind = message_class(CHASER_POSE.type_name)
+
+        def is_ready():
+            for topic in (CHASER_POSE, TARGET_POSE):
+                message = kind()
+                message.header.stamp.sec, message.header.stamp.nanosec = divmod(
+                    time.time_ns(), 10**9
+                )
+                message.pose.orientation.w = 1.0
+                rig.send(topic, message)
+            return READY in {part.state for part in parts}
+
+        wait_until(is_ready)
 
 
 def test_judging_a_bag_without_sensors_gives_the_recorded_judgements(tmp_path):

@@ -1,5 +1,6 @@
 """Play, pause, reset and launch, over real DDS; one test for each rule."""
 
+import os
 import time
 import xml.etree.ElementTree as ET
 
@@ -10,6 +11,7 @@ from capture_sim import load_scene, simulate
 from capture_sim.control.simulation import Code, State
 from capture_sim.messages.topics import BENCH_STATE
 from capture_sim.nodes.endpoints import TRANSIENT_LOCAL
+from capture_sim.resources import config_dir
 from tests.nodes.bench_client import Client, Simulation, wait_until
 
 OVERRIDES = ["run.t_end=0.4"]
@@ -166,13 +168,18 @@ def test_experiment_is_changed_while_stopped(stopped):
         assert stopped.client.set("simulator", scenes=["tilt_0"], overrides=OVERRIDES)[0]
 
 
-@pytest.mark.parametrize("name", ["/etc/passwd", "../nodes", "no scene:\n  at: all"])
-def test_scene_over_the_network_is_a_name_or_text(name, stopped):
-    """S11: no file of the simulator's machine is read for whoever asks."""
-    worked, reason = stopped.client.set("simulator", scenes=[name])
-    assert not worked
-    assert "root:" not in reason
+def test_scene_over_the_network_is_a_name_or_text(stopped, tmp_path):
+    """S11: no file of the simulator's machine is read for a client, not even a scene."""
     text = load_scene("tilt_p10", OVERRIDES).to_yaml()
+    scene = tmp_path / "own.yaml"
+    scene.write_text(text)
+    beside = os.path.relpath(scene, config_dir() / "scenes")
+    for path in ("/etc/passwd", str(scene), str(scene.with_suffix("")), beside):
+        worked, reason = stopped.client.set("simulator", scenes=[path])
+        assert not worked, path
+        assert "must be a packaged scene's name, or YAML text" in reason
+        assert "root:" not in reason
+    assert not stopped.client.set("simulator", scenes=["no scene:\n  at: all"])[0]
     assert stopped.client.set("simulator", scenes=[text]) == (True, "")
     assert stopped.client.set("simulator", scenes=["tilt_0"]) == (True, "")
 

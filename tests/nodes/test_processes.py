@@ -10,8 +10,9 @@ import time
 from pathlib import Path
 
 import pytest
-from bench_processes import Client, Started, fresh, statuses, wait_until
+from bench_processes import Client, Started, fresh, processes, statuses, wait_until
 from capture_sim.action import RunTrial
+from forked import Forked
 from rig_session import FakeRig, Goal, actions_of, rig
 
 import capture_sim
@@ -23,33 +24,60 @@ from capture_sim.recording.read import run_of
 from capture_sim.run import detect
 
 
+def start_suite(start, out, recorder_change="", common=None, **simulator):
+    """Start the whole suite; further parameters go to the simulator."""
+    common = common or {}
+    parameters = {"rtf": 0.0, "wait_for": "[launcher, capture_detector, recorder]", **simulator}
+    return {
+        "simulator": start("simulator", **parameters, **common),
+        "launcher": start("launcher", **common),
+        "capture_detector": start("capture_detector", **common),
+        "recorder": start("recorder", recorder_change, out=out, **common),
+    }
+
+
 @pytest.fixture
 def start_all(start, tmp_path):
-    """Start the whole suite; parameters go to the simulator."""
-
     def start_all(recorder_change="", **simulator):
-        wait_for = {"rtf": "0.0", "wait_for": "[launcher, capture_detector, recorder]"}
-        return {
-            "simulator": start("simulator", **{**wait_for, **simulator}),
-            "launcher": start("launcher"),
-            "capture_detector": start("capture_detector"),
-            "recorder": start("recorder", recorder_change, out=tmp_path / "out"),
-        }
+        return start_suite(start, tmp_path / "out", recorder_change, **simulator)
 
     return start_all
 
 
-def begun(tmp_path):
-    """Wait until the recorder has written about 1000 samples; return its file."""
-    path = tmp_path / "out" / "tilt_0.mcap"
-    wait_until(lambda: path.is_file() and path.stat().st_size > 300_000)
-    return path
+# nodes that die or stop in a run: DDS notices that after 6 s
 
 
-def test_killed_simulator_leaves_a_readable_file_and_the_others_go_on(start_all, tmp_path):
-    nodes = start_all(rtf=2.0)
-    path = begun(tmp_path)
-    nodes.pop("simulator").process.kill()
+@pytest.fixture(scope="module")
+def disturbed(tmp_path_factory):
+    """Suites at the same time, each without one of its nodes since the middle of its run."""
+    out = tmp_path_factory.mktemp("disturbed")
+    options = {
+        "simulator": {},
+        "capture_detector": {"reader_timeout": 60.0},
+        "recorder": {"reader_timeout": 60.0},
+        "stopped": {"reader_timeout": 2.0},
+    }
+    with processes(Forked) as start:
+        suites = {
+            name: start_suite(start, out / name, common={"__ns": f"/{name}"}, rtf=2.0, **changes)
+            for name, changes in options.items()
+        }
+        for name, nodes in suites.items():
+            path = out / name / "tilt_0.mcap"
+            # about 1000 samples
+            wait_until(lambda path=path: path.is_file() and path.stat().st_size > 300_000)
+            if name == "stopped":
+                nodes["capture_detector"].process.send_signal(signal.SIGSTOP)
+            else:
+                nodes.pop(name).process.kill()
+        try:
+            yield {name: (nodes, out / name / "tilt_0.mcap") for name, nodes in suites.items()}
+        finally:
+            suites["stopped"]["capture_detector"].process.send_signal(signal.SIGCONT)
+
+
+def test_killed_simulator_leaves_a_readable_file_and_the_others_go_on(disturbed):
+    nodes, path = disturbed["simulator"]
     for node in nodes.values():
         node.wait_for("the simulator has gone")
         assert node.end() == 1
@@ -63,10 +91,8 @@ def test_killed_simulator_leaves_a_readable_file_and_the_others_go_on(start_all,
 
 
 @pytest.mark.parametrize("victim", ["capture_detector", "recorder"])
-def test_run_goes_on_without_a_killed_participant(victim, start_all, tmp_path):
-    nodes = start_all(rtf=2.0, reader_timeout=60.0)
-    path = begun(tmp_path)
-    nodes.pop(victim).process.kill()
+def test_run_goes_on_without_a_killed_participant(victim, disturbed):
+    nodes, path = disturbed[victim]
     nodes["simulator"].wait_for("done, 5936 samples")
     found = statuses(nodes)
     assert found.pop("recorder", 1) == 1
@@ -76,6 +102,20 @@ def test_run_goes_on_without_a_killed_participant(victim, start_all, tmp_path):
     run = read_bag(path)
     assert not run.complete
     assert run.samples.size > 500
+
+
+def test_stopped_process_is_named_and_the_others_record_the_run(disturbed):
+    nodes, path = disturbed["stopped"]
+    assert nodes["simulator"].status() in (0, 1), nodes["simulator"].text
+    nodes["recorder"].wait_for("capture_detector: never reported")
+    run = read_bag(path)
+    assert run.samples.size == 5936
+    assert run.problems == (
+        "capture_detector: never reported how many messages it sent; it may have been killed",
+    )
+
+
+# Ctrl-C, disks
 
 
 def test_one_ctrl_c_ends_all_without_traceback(tmp_path):
@@ -148,24 +188,7 @@ def test_stalled_disk_ends_the_recording_and_no_run(start_all):
     nodes = start_all(_STALLED_DISK)
     found = statuses(nodes)
     assert found == {"simulator": 0, "launcher": 0, "capture_detector": 0, "recorder": 1}
-    assert "the disk has written nothing for 2 s" in nodes["recorder"].text
-
-
-def test_stopped_process_is_named_and_the_others_record_the_run(start_all, tmp_path):
-    nodes = start_all(rtf=2.0, reader_timeout=2.0)
-    path = begun(tmp_path)
-    detector = nodes.pop("capture_detector")
-    detector.process.send_signal(signal.SIGSTOP)
-    try:
-        assert nodes["simulator"].status() in (0, 1), nodes["simulator"].text
-        nodes["recorder"].wait_for("capture_detector: never reported")
-    finally:
-        detector.process.send_signal(signal.SIGCONT)
-    run = read_bag(path)
-    assert run.samples.size == 5936
-    assert run.problems == (
-        "capture_detector: never reported how many messages it sent; it may have been killed",
-    )
+    assert "the disk wrote nothing for 2 s" in nodes["recorder"].text
 
 
 def test_own_detector_of_the_page_misses_no_sample(start):
@@ -199,9 +222,9 @@ def test_a_driver_holds_when_the_launcher_is_killed(start):
             goal = Goal(actions_of(client))
             goal.await_phase(RunTrial.Feedback.APPROACH)
             launcher.process.kill()
-            wait_until(lambda: node.released is None and node.trial == 1)
-            began = node.t
-            wait_until(lambda: node.t > began + 2.0)  # pulled back by then
+            wait_until(lambda: node.chaser.released is None and node.chaser.trial == 1)
+            began = node.chaser.t
+            wait_until(lambda: node.chaser.t > began + 2.0)  # pulled back by then
             assert poses[-1].pose.position.x < 0.01
             assert max(pose.pose.position.x for pose in poses) < 0.2
 
@@ -216,6 +239,7 @@ def test_help_shows_the_parameters_and_starts_nothing():
     for word in ("usage: simulator", "initial_state: playing", "ros2 param describe /simulator"):
         assert word in done.stdout
     assert "launcher:" not in done.stdout  # another node's
+    assert not re.search(r"``|:\w+:`", done.stdout)  # markup of docstrings
 
 
 def test_help_into_a_closed_pipe_ends_quietly():

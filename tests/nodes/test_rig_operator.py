@@ -14,7 +14,7 @@ from capture_sim.cli import main
 from capture_sim.recording.bag import read_bag
 
 sys.path.append(str(Path(__file__).parents[2] / "examples"))
-from fake_rig import CONTACT, MASS, SPEED, STOP, STROKE
+from fake_chaser import CONTACT, MASS, SPEED, STOP, STROKE
 
 #: Plots of a run, of a quantity each.
 FIGURES = {"axial_performance", "distance", "impact_force", "snapshots", "torsional_performance"}

@@ -11,6 +11,7 @@ from recorded import values_of
 from threads import threads
 
 from capture_sim import load_scene, simulate
+from capture_sim.control.simulation import SimulationControl
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.errors import CaptureSimError
 from capture_sim.launch.scenes import load_scene_text
@@ -202,9 +203,11 @@ def test_two_recorders_of_one_name_record_the_same(start_all, start, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["my_detector", "/lab/my_detector"])
-def test_nothing_of_an_unpaced_run_passes_a_plain_node_that_is_waited_for(name, start):
+def test_nothing_of_an_unpaced_run_passes_a_plain_node_that_is_waited_for(name, start, monkeypatch):
     """It has the name that the simulator waits for, and starts after it."""
+    monkeypatch.setattr("capture_sim.nodes.announcer._REPORT_PERIOD", 0.1)
     simulator = start("simulator", rtf=0.0, wait_for=f"[{name}]", overrides=SHORT)
+    simulator.wait_for(f"waiting for {name} to start")
     with Client("my_detector", namespace="/lab") as client:
         received = {}
         for topic in (BENCH_STATE, TARGET_ODOMETRY):
@@ -250,7 +253,7 @@ def test_another_announcer_is_named_once_and_takes_nothing_away(start, tmp_path)
         for k in range(12):
             info.run_id, info.source = f"{k:032x}", ("simulation", "replay")[k % 2]
             publisher.publish(info)
-            recorder.wait_for("/elsewhere/player announces tilt_0: ignored")
+            recorder.wait_for("/elsewhere/player announces tilt_0 (simulation): ignored")
         assert client.set("simulator", rtf=0.0)[0]
     assert simulator.status() == 0
     assert recorder.end() == 0
@@ -378,21 +381,37 @@ def test_error_of_publishing_is_reported_at_once_with_its_cause(start):
 # the launch
 
 
-def test_launcher_aborts_a_launch_that_goes_wrong(start, monkeypatch):
-    """The bench is not as planned: here the mass that was fitted is heavier by half."""
+def heavier(monkeypatch):
+    """Let the bench differ from its plan: the mass that was fitted is heavier by half."""
     plan_of = simulator_module._plan
 
-    def heavier(scene, armed):
-        plan = plan_of(scene, armed)
-        return plan._replace(hanging_mass=1.5 * plan.hanging_mass)
+    def plan(scene, armed):
+        planned = plan_of(scene, armed)
+        return planned._replace(hanging_mass=1.5 * planned.hanging_mass)
 
-    monkeypatch.setattr(simulator_module, "_plan", heavier)
+    monkeypatch.setattr(simulator_module, "_plan", plan)
+
+
+def test_launcher_aborts_a_launch_that_goes_wrong(start, monkeypatch):
+    heavier(monkeypatch)
     launcher = start("launcher")
     simulator = start("simulator", wait_for="[launcher]", rtf=1.0)
     assert simulator.status() == 1
     assert "aborted by the launcher" in simulator.text
     assert launcher.end() == 1
     assert re.search(r"aborted: speed 0\.\d+ m/s after 0\.\d+ m: must be", launcher.text)
+
+
+def test_an_abort_is_reported_once(start, monkeypatch):
+    """S12: also where the bench goes on, and each further sample differs from the plan."""
+    monkeypatch.setattr(SimulationControl, "abort", lambda *arguments: None)
+    launcher = start("launcher", speed_tolerance=0.01)
+    changes = "[string.impact_speed=0.3, run.t_end=3]"
+    heavier(monkeypatch)
+    simulator = start("simulator", wait_for="[launcher]", rtf=0.0, overrides=changes)
+    assert simulator.status() == 0, simulator.text
+    launcher.end()
+    assert launcher.text.count("aborted: speed") == 1
 
 
 def test_launcher_with_an_actuator_follows_no_simulator(start):

@@ -195,10 +195,10 @@ def test_a_run_s_name_from_outside_makes_a_file_in_the_folder(tmp_path):
     for name in names:
         _, type_name, data = serialised(RUN_INFO, run_id="r", name=name, publishers=["simulator"])
         assert store.deserialize_cdr(data, type_name).name == name
-        with LiveRecorder(out) as recorder:
-            recorder.take(RUN_INFO, data)
-            counts = messages.stream_counts("simulator", "r", {RUN_INFO.name: 1})
-            recorder.take(STREAM_COUNTS, messages.serialise(counts))
+        recorder = LiveRecorder(out, data)
+        counts = messages.stream_counts("simulator", "r", {RUN_INFO.name: 1})
+        recorder.take(STREAM_COUNTS, messages.serialise(counts))
+        recorder.close()
         assert recorder.path.parent == out
         assert read_bag(recorder.path).complete
     assert {p.name for p in tmp_path.iterdir()} == {"runs"}
@@ -209,9 +209,8 @@ def test_a_run_s_name_from_outside_makes_a_file_in_the_folder(tmp_path):
 @pytest.mark.parametrize("texts", [["a"] * 100_000, ["a" * 10_000]])
 def test_announcement_of_more_than_a_bench_is_rejected(name, texts, tmp_path):
     _, _, data = serialised(RUN_INFO, run_id="r", **{name: texts})
-    recorder = LiveRecorder(tmp_path)
     with pytest.raises(RecordingError, match=rf"RunInfo.{name} = \d+ texts .*must be at most 100"):
-        recorder.take(RUN_INFO, data)
+        LiveRecorder(tmp_path, data)
     assert list(tmp_path.iterdir()) == []
 
 

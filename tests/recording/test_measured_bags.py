@@ -24,7 +24,6 @@ from capture_sim.results import first_touch, impact_speed, table
 from capture_sim.run import detect
 from capture_sim.studies.compare import sides
 from capture_sim.viewing import plots
-from capture_sim.viewing.canvas import save
 from capture_sim.viewing.source import (
     decided_at,
     every_touch,
@@ -284,16 +283,6 @@ def test_release_that_no_message_tells_is_given(run, recorded, tmp_path):
     assert decided_at(seen) == pytest.approx(decided_at(run) - 0.5, abs=1e-6)
     with pytest.raises(RecordingError, match=r"release = 60 s: must be 0 to [0-9.]+ s"):
         as_drawn(bag, "tilt_0", release=60.0)
-
-
-def test_it_is_drawn_by_everything(recorded, tmp_path):
-    seen = as_drawn(of_a_bench(recorded, tmp_path / "trial of 6 May.mcap"), "tilt_0")
-    assert seen.scene.name == "trial_of_6_May"  # a scene's name, whatever the file is called
-    assert save(plots.draw_run(seen), tmp_path / "x.png").stat().st_size > 50_000
-    pytest.importorskip("rerun", reason="needs rerun")
-    from capture_sim.viewing.rerun_view import save_rrd
-
-    assert save_rrd([seen], tmp_path / "x.rrd").stat().st_size > 10_000
 
 
 def test_messages_of_another_encoding_are_left_out_with_a_word(recorded, tmp_path, capsys):

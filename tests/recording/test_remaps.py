@@ -63,8 +63,9 @@ def test_every_command_reads_remapped_topics(path, rig_bag, tmp_path, capsys):
 def test_remaps_that_the_recorder_noted_are_applied_by_themselves(path, tmp_path):
     run = read_bag(path)
     remaps = {CHASER_ODOMETRY: "/mocap/rb1/odom", TARGET_ODOMETRY: "/mocap/rb2/odom"}
-    recorder = LiveRecorder(tmp_path, remaps=remaps)
-    for _, name, data in Playback(path).messages():
+    (_, _, info), *others = Playback(path).messages()
+    recorder = LiveRecorder(tmp_path, info, remaps=remaps)
+    for _, name, data in others:
         recorder.take(topic_named(name), data)
     file = recorder.close().path
     again = read_bag(file)

@@ -64,7 +64,9 @@ def test_a_recording_of_exact_samples_is_detected_as_the_call_was(run, recorded)
     again, live = detect(recorded), run.statuses
     assert [(s.t, s.state, s.distance) for s in again] == [(s.t, s.state, s.distance) for s in live]
     of_series = detect(recorded, from_series=True)
-    assert [(s.t, s.state) for s in of_series] == [(s.t, s.state) for s in live]
+    assert [(s.t, s.state, s.final, s.reason) for s in of_series] == [
+        (s.t, s.state, s.final, s.reason) for s in live
+    ]
     assert [s.distance for s in of_series] == pytest.approx([s.distance for s in live], abs=1e-12)
 
 

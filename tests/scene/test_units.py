@@ -134,5 +134,6 @@ def test_every_field_has_a_meaning_and_help_shows_it_with_its_unit():
         if not dataclasses.is_dataclass(what.kind):
             assert len(what.doc) > 8, what.name
             assert what.doc in text
+            assert what.unit or what.kind not in (float, int), what.name
             assert what.unit in ("", "1") or f"({what.unit})" in text
     assert "- chaser.theta : float (rad): heading" in text

@@ -31,8 +31,9 @@ def test_simulated_again_a_run_is_identical_and_a_difference_is_found(
 
 def test_a_missing_event_is_a_difference(path, tmp_path, capsys):
     run = read_bag(path)
-    recorder = LiveRecorder(tmp_path)
-    for name in ("bench/run_info", "bench/state", "bench/event"):
+    (info,) = run.raw("bench/run_info")
+    recorder = LiveRecorder(tmp_path, info)
+    for name in ("bench/state", "bench/event"):
         for data in run.raw(name)[: -2 if name == "bench/event" else None]:
             recorder.take(topic_named(name), data)
     file = str(recorder.close().path)

@@ -6,7 +6,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-from noisy_bench import NAMES, later, noisy_run, with_parameters
+from noisy_bench import (
+    CELL_NOISE,
+    CELL_RATE,
+    NAMES,
+    cell_force,
+    later,
+    noisy_run,
+    tip_force,
+    with_parameters,
+)
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 import capture_sim
@@ -20,20 +29,6 @@ from capture_sim.studies.identify import RELEASE, identify, is_explained
 
 WALL = 1_790_000_000  # s, of a wall clock
 STOOD = 0.35  # s, that the chaser was held after the first pose
-CELL = 2e4  # Hz, of the force
-BIAS, CELL_NOISE = (1.5, -0.8), 0.5  # N
-
-
-def measured_force(run, rng):
-    """Times and force on the tip in its own frame, with bias and noise, round the first touches."""
-    scene = with_parameters(run.scene, run.run.plan, *run.true.tolist())
-    met = float(run.touches.start[0])
-    t = np.arange(met - 0.3, met + 0.3, 1.0 / CELL)
-    samples = Bench(scene).advance(t)
-    force = samples["contact_force"] + samples["latch_force"]
-    c, s = np.cos(samples["q"][:, 3]), np.sin(samples["q"][:, 3])
-    own = np.stack([c * force[:, 0] + s * force[:, 1], c * force[:, 1] - s * force[:, 0]], axis=1)
-    return t, own + np.array(BIAS) + rng.normal(size=own.shape) * CELL_NOISE
 
 
 def bench_bag(run, folder, force):
@@ -82,7 +77,7 @@ def bench_bag(run, folder, force):
         none = Vector3(x=0.0, y=0.0, z=0.0)
         wrenches = [
             (t, {"wrench": Wrench(force=Vector3(x=fx, y=fy, z=0.0), torque=none)})
-            for t, (fx, fy) in zip(force[0].tolist(), force[1].tolist(), strict=True)
+            for t, (fx, fy) in zip(force.t.tolist(), force.values.tolist(), strict=True)
         ]
         write("/contact/wrench", "geometry_msgs/msg/WrenchStamped", wrenches)
     return folder
@@ -101,7 +96,7 @@ def bench_bag(run, folder, force):
 )
 def test_bag_of_a_bench_gives_its_parameters_back(name, seed, release, tmp_path, capsys):
     run = noisy_run(name, seed)
-    force = measured_force(run, np.random.default_rng(seed))
+    force = tip_force(run, np.random.default_rng(seed))
     bag = bench_bag(run, tmp_path / "bag", force)
     command = ["identify", str(bag), *NAMES, "--scene", name]
     assert main([*command, *release, "--touch-noise", "5e-5", "1"]) == 0
@@ -136,6 +131,23 @@ def test_release_is_fitted_with_the_rest():
     )
 
 
+def test_the_restitution_is_not_biased_by_the_filter_of_a_load_cell():
+    """By peaks, e was 0.9 standard errors low in every run; benchmarks/recording.py has more runs.
+
+    Four fits scatter by 0.3 standard errors, as touches are measured better than assumed here.
+    """
+    off = []
+    for seed in range(4):
+        run = noisy_run("tilt_0", seed, true=(0.001, 0.6, 0.33, 13.0))
+        force = cell_force(run, np.random.default_rng(seed), bandwidth=6e3)
+        series = {**run.run.series, "cone_force": {"a sensor": force}}
+        touches, _ = run.run.replaced(given_scene=run.scene, series=series).resolved_touches
+        touches = touches.of(slice(4)).with_noise(2e-4, 2.0)
+        fit = identify(run.scene, run.run, NAMES, touches=touches, starts=1)
+        off.append(((fit.values - run.true) / fit.errors)[NAMES.index("e")])
+    assert abs(np.mean(off)) < 3.0 * 0.3 / np.sqrt(len(off))
+
+
 def test_recording_that_tells_the_release_is_believed(tmp_path, capsys):
     result = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["run.t_end=2.0"]))
     path = str(write_run(result, tmp_path / "run.mcap"))
@@ -150,7 +162,7 @@ def test_recording_that_tells_the_release_is_believed(tmp_path, capsys):
 
 def test_touches_in_the_force_are_those_that_were(tmp_path):
     run = noisy_run("tilt_p10", 23)
-    bag = bench_bag(run, tmp_path / "bag", measured_force(run, np.random.default_rng(23)))
+    bag = bench_bag(run, tmp_path / "bag", tip_force(run, np.random.default_rng(23)))
     scene = with_parameters(run.scene, run.run.plan, *run.true.tolist())
     bench = Bench(scene)
     bench.advance(np.array([4.0]))
@@ -158,12 +170,12 @@ def test_touches_in_the_force_are_those_that_were(tmp_path):
     found, source = read_run(bag, release=STOOD, scene=run.scene).resolved_touches
     found = found.of(slice(4))
     assert source.startswith("contact/wrench, 2e+04 Hz")
-    assert found.start == pytest.approx(true["start"], abs=1.0 / CELL)
+    assert found.start == pytest.approx(true["start"], abs=1.0 / CELL_RATE)
     # noise of the cell, and 1 % of shape
     assert found.peak == pytest.approx(true["peak_force"], rel=0.01, abs=4.0 * CELL_NOISE)
     # the release is 0.35 s after the first pose, from which the bag's own time counts
     met = read_run(bag).first_contact.t
-    assert met == pytest.approx(true["start"][0] + STOOD, abs=1.0 / CELL)
+    assert met == pytest.approx(true["start"][0] + STOOD, abs=1.0 / CELL_RATE)
 
 
 def test_release_outside_the_recording_is_refused(tmp_path, capsys):

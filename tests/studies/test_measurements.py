@@ -11,21 +11,6 @@ from capture_sim.recording.read import read_run
 from capture_sim.series import PARTS, series_in
 
 
-def test_bench_whose_clock_is_the_walls_measures_the_same(path, tmp_path):
-    epoch = 1_700_000_000
-
-    def later(time, message):
-        message.header.stamp.sec += epoch
-        yield time + epoch * 1_000_000_000, message
-
-    bag = rewritten(path, tmp_path / "bag", later)
-    bench, simulated = read_run(bag), read_run(path)
-    for quantity in (*PARTS, "force"):
-        mine, theirs = bench.measured(quantity), simulated.measured(quantity)
-        np.testing.assert_allclose(mine.t, theirs.t, rtol=0, atol=1e-9)
-        np.testing.assert_array_equal(mine.values, theirs.values)
-
-
 def test_what_is_no_number_or_comes_twice_is_left_out(path, tmp_path, capsys):
     counter = iter(range(10_000))
 

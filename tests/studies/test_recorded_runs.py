@@ -19,7 +19,6 @@ from capture_sim.messages.topics import CAPTURE_STATUS, TOPICS
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.export import save_tables, tables_of
 from capture_sim.recording.read import read_run
-from capture_sim.run import detect
 from capture_sim.samples import columns_of
 
 TF = "tf2_msgs/msg/TFMessage"
@@ -66,37 +65,6 @@ def test_times_of_a_table_count_from_the_release(path, tmp_path):
     assert tables_of(theirs)["/chaser/odom"].fields["t"] == pytest.approx(
         times[times > 1.995], abs=1e-9
     )
-
-
-def test_simulated_bag_that_begins_late_counts_from_its_release(path, tmp_path):
-    """Without the announcement: the simulator's state shows that one clock stamps all."""
-
-    def from_2_s(time, message):
-        if message.header.stamp.sec >= EPOCH_NS // 10**9 + 2:
-            yield time + 1_700_000_000_000_000_000, message
-
-    topics = (BENCH_TOPICS[0], ("/bench/state", "capture_sim/msg/BenchState"))
-    bag = read_bag(rewritten(path, tmp_path / "bag", from_2_s, topics))
-    assert tables_of(bag)["/chaser/odom"].fields["t"][0] == pytest.approx(2.0, abs=0.01)
-    assert bag.samples["t"][0] == pytest.approx(2.0, abs=0.01)
-
-
-def test_poses_before_the_release_count_by_the_clock_of_the_bench(path, tmp_path):
-    """The launcher's stamp of the release, 1 s, lies before all poses and near some."""
-    boot = 2  # s, of the bench's clock when the recording begins; the release arrives 5 s later
-
-    def change(time, message):
-        if hasattr(message, "action"):
-            yield time + 5_000_000_000, message
-        else:
-            message.header.stamp.sec += boot
-            yield time, message
-
-    topics = (*BENCH_TOPICS[:2], ("/launcher/command", "capture_sim/msg/LaunchCommand"))
-    bag = read_bag(rewritten(path, tmp_path / "bag", change, topics))
-    shifted = tables_of(read_bag(path))["/chaser/odom"].fields["t"] - 5.0
-    assert tables_of(bag)["/chaser/odom"].fields["t"] == pytest.approx(shifted, abs=1e-6)
-    assert tables_of(bag)["/launcher/command"].fields["t"].tolist() == [0.0, 0.0]
 
 
 def test_topic_of_another_type_is_not_taken_for_the_benchs(path, tmp_path, capsys):
@@ -146,40 +114,6 @@ def test_export_of_a_foreign_bag_leaves_out_what_makes_no_table(tmp_path, capsys
         assert [row["data"] for row in csv.DictReader(file)] == ["", "x", "xx"]
 
 
-def test_export_of_nothing_says_so(path, tmp_path, capsys):
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(path.read_bytes()[:100])
-    assert main(["export", str(cut), "--to", "csv", "--out", str(tmp_path / "out")]) == 2
-    assert "contains no message" in capsys.readouterr().err
-
-
-def test_bag_with_two_runs_is_not_judged_as_one(path, tmp_path, capsys):
-    def announced_twice(time, message):
-        yield time, message
-        if hasattr(message, "run_id"):
-            message.run_id = "another"
-            yield time, message
-
-    topics = (*BENCH_TOPICS, ("/bench/run_info", "capture_sim/msg/RunInfo"))
-    folder = rewritten(path, tmp_path / "bag", announced_twice, topics)
-    for command in (["detect"], ["identify", "mu"]):
-        line = [command[0], str(folder), *command[1:], "--scene", "tilt_0"]
-        assert main(line) == 2
-        assert "contains 2 runs" in capsys.readouterr().err
-    assert main(["export", str(folder), "--to", "npz", "--out", str(tmp_path)]) == 0
-
-
-def test_detector_judges_a_bag_as_it_judged_the_run(path):
-    run = read_run(path)
-    again = detect(run, from_series=True)
-    assert [(s.t, s.state, s.final, s.reason) for s in again] == [
-        (s.t, s.state, s.final, s.reason) for s in run.reported_statuses
-    ]
-    for mine, theirs in zip(again, run.reported_statuses, strict=True):
-        # the heading went through a quaternion
-        assert mine.distance == pytest.approx(theirs.distance, abs=1e-12)
-
-
 def test_detector_with_other_limits(path, capsys):
     assert main(["detect", str(path)]) == 0
     assert "the same" in capsys.readouterr().out
@@ -209,12 +143,6 @@ def test_bag_of_a_bench_is_judged_with_a_scene_given(bench_bag, path, capsys):
     assert read_run(bench_bag).first_contact.t == pytest.approx(
         read_run(path).first_contact.t, abs=0.05
     )
-
-
-def test_topic_that_the_detector_needs_is_named(path, tmp_path):
-    run = read_run(rewritten(path, tmp_path / "bag", topics=BENCH_TOPICS[:1]))
-    with pytest.raises(RecordingError, match="contains no target/odom, which the detector needs"):
-        detect(run, read_run(path).scene)
 
 
 def test_csv_gives_the_same_bits(path, tmp_path, capsys):
@@ -279,10 +207,3 @@ def test_parquet_gives_the_same_bits(path, tmp_path):
     schema = parquet.read_schema(tmp_path / "touches.parquet")
     assert schema.field("peak_force").metadata == {b"unit": b"N"}
     assert schema.field("start").metadata == {b"unit": b"s"}
-
-
-def test_unwritable_folder_is_refused_before_anything(path, tmp_path, capsys):
-    (tmp_path / "file").write_text("")
-    for command in (["export", str(path), "--to", "csv"], ["compare", str(path), str(path)]):
-        assert main([*command, "--out", str(tmp_path / "file" / "x")]) == 2
-        assert capsys.readouterr().err.count("\n") == 1

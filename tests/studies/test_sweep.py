@@ -432,6 +432,10 @@ def test_an_experiment_is_the_approach_that_it_is(name):
 
 # values that no field takes are drawn in tests/commands/test_arguments.py
 BAD = [
+    (
+        {"buffer.force_table": "1,2"},
+        "buffer.force_table: must be a single value, is a list; change",
+    ),
     ({"buffer.cA": "1:2:3"}, r"buffer.cA: no number of tilt_0; did you mean buffer.c_A\?"),
     ({"mass": "1"}, "did you mean chaser.mass, target.mass or cylinder.mass"),
     ({"rail": "1"}, "rail: no number"),
@@ -506,10 +510,12 @@ def test_ctrl_c_keeps_the_rows_that_are_done(scenes_run):
 
 @pytest.mark.parametrize("number, to_all", [(signal.SIGINT, False), (signal.SIGTERM, True)])
 def test_a_command_that_is_ended_keeps_the_rows_and_says_so(number, to_all, tmp_path):
-    """By Ctrl-C, or as a batch queue ends all processes of a job."""
+    """By Ctrl-C, or as a batch queue ends all processes of a job; it reports from 0.1 s on."""
     out = tmp_path / "t.csv"
-    command = [sys.executable, "-u", "-m", "capture_sim.cli", "sweep", "tilt_0", "--workers=2"]
-    command += ["--vary=buffer.c_A=uniform(5, 30)", "--runs=1000000", f"--out={out}"]
+    begin = "import sys; from capture_sim import cli; from capture_sim.commands import output; "
+    begin += "output._PAUSE = 0.1; sys.exit(cli.main())"
+    command = [sys.executable, "-u", "-c", begin, "sweep", "tilt_0", "--workers=2"]
+    command += ["--vary=buffer.c_A=uniform(5, 30)", "--runs=50000", f"--out={out}"]
     with subprocess.Popen(
         command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
     ) as run:
@@ -520,7 +526,7 @@ def test_a_command_that_is_ended_keeps_the_rows_and_says_so(number, to_all, tmp_
         (os.killpg if to_all else os.kill)(run.pid, number)
         output, errors = run.communicate(timeout=300)
     assert run.returncode == 130
-    assert f"of 1000000 runs written to {out}" in errors
+    assert f"of 50000 runs written to {out}" in errors
     assert "Traceback" not in errors
     done = len(pd.read_csv(out))
     assert f"{done} runs, seed 1" in output

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from capture_sim.detection.criteria import (
+    CaptureState,
+    Criteria,
+    Place,
+    decide,
+    decide_at_end,
+    new_memory,
+)
+from capture_sim.kernels import plain
 from capture_sim.launch.scenes import load_scene
+from capture_sim.launch.watch import Launcher, LauncherPhase, LaunchObservation
 from capture_sim.messages.topics import TOPICS
-from tools.diagrams import draw_nodes, draw_touch
+from tools.diagrams import DETECTOR, LAUNCHER, draw_nodes, draw_touch
 from tools.explain import draw_geometry, save_capture_gif
 
 
@@ -54,3 +65,53 @@ def test_the_close_up_of_a_touch_ends_where_the_touch_ends(runs):
     contact = t[values > 0.0] * 1e-3
     lasted = touch["end"] - touch["start"]
     assert (contact.min(), contact.max()) == pytest.approx((0.0, lasted), abs=1e-6)
+
+
+def test_the_diagram_has_every_transition_of_the_launcher():
+    """All sequences of four inputs, from a launch that begins."""
+    scene = load_scene("tilt_0")
+
+    def observe(launcher, *, is_slack=False, has_touched=False, speed=0.0):
+        launcher.observe(LaunchObservation(0.1, speed, 0.0, is_slack, has_touched))
+
+    inputs = (
+        lambda launcher: launcher.release(),
+        lambda launcher: launcher.abort("cancelled"),
+        lambda launcher: observe(launcher, is_slack=True),
+        lambda launcher: observe(launcher, has_touched=True),
+        lambda launcher: observe(launcher, speed=1.0),
+    )
+    seen = {(LauncherPhase.IDLE, Launcher(scene).status.state)}
+    for sequence in itertools.product(inputs, repeat=4):
+        launcher = Launcher(scene)
+        for each in sequence:
+            before = launcher.status.state
+            each(launcher)
+            seen.add((before, launcher.status.state))
+    assert {(a, b) for a, b in seen if a is not b} == set(LAUNCHER)
+
+
+def test_the_diagram_has_every_transition_of_the_detector():
+    """Paths of straight pieces through the cone, each with rests, and each ended everywhere."""
+    scene = load_scene("tilt_0")
+    criteria, step = Criteria.of(scene), 0.01
+    evaluate, evaluate_end = plain(decide), plain(decide_at_end)
+    corners = [(x, y) for x in (0.12, 0.06, 0.016, 0.003, -0.03) for y in (0.0, 0.013, 0.1)]
+    seen = set()
+    for path in itertools.product(corners, repeat=2):
+        places = np.concatenate(
+            [np.linspace(a, b, 12) for a, b in itertools.pairwise(((0.15, 0.0), *path))]
+            + [np.repeat([path[-1]], 150, axis=0)]
+        )
+        rates = np.gradient(places, step, axis=0)
+        fields = new_memory(has_approached=True)
+        memory = SimpleNamespace(**dict(zip(fields.dtype.names, *fields.tolist(), strict=True)))
+        for k, (place, rate) in enumerate(zip(places.tolist(), rates.tolist(), strict=True)):
+            before = CaptureState(memory.state)
+            evaluate(criteria, memory, Place(k * step, *place, *rate), False, 0.0)
+            seen.add((before, CaptureState(memory.state)))
+            if memory.state <= CaptureState.CONTACT:
+                ended = SimpleNamespace(**vars(memory))
+                evaluate_end(criteria, ended, 0.0, False)
+                seen.add((CaptureState(memory.state), CaptureState(ended.state)))
+    assert {(a, b) for a, b in seen if a is not b} == set(DETECTOR)

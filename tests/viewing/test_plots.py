@@ -27,9 +27,9 @@ from capture_sim.recording.read import read_run
 from capture_sim.studies.axes import Axis
 from capture_sim.viewing import figures, plots
 from capture_sim.viewing.canvas import save
-from capture_sim.viewing.curves import PANELS
+from capture_sim.viewing.shapes import tip_in_cone
 from capture_sim.viewing.source import every_touch, time_window
-from capture_sim.viewing.sweep import draw_map
+from capture_sim.viewing.sweep import draw_map, draw_tornado
 from tools.explain import draw_geometry
 
 FOLDER = Path(__file__).parent / "images"
@@ -37,7 +37,6 @@ DPI = 30
 BLOCK = 6  # pixels
 #: Largest difference of a block's mean, of 1.  Text of another version of FreeType: below 0.1.
 TOLERANCE = 0.15
-SHEET = ("impact_force", "distance", "axial_performance", "torsional_performance")
 
 
 @cache
@@ -53,19 +52,18 @@ def undamped():
     return run("paper_undamped")
 
 
-#: By name of the image: no long run's end, which depends on a processor's rounding.
+#: By name of the image: no long run's end, which depends on a processor's round-off error.  Single
+#: quantities are in the sheet.
 PICTURES = {
     "run": lambda: plots.draw_run(run("tilt_p10")),
     "overview": lambda: plots.draw_overview(tilts()),
     "sheet": lambda: plots.plot(*tilts(), labels=["a", "b", "c"]),
-    "many": lambda: figures.sheet(SHEET, tilts() * 4, aligned=True),
-    **{name: lambda n=name: figures.over_time(n, tilts(), aligned=True) for name in PANELS},
+    "many": lambda: plots.plot(*tilts() * 4),
     "trajectory": lambda: figures.trajectory(tilts()),
     "velocities": lambda: figures.velocities(tilts(), window=(2.5, 3.2)),
     "load_stroke": lambda: figures.load_stroke(tilts()),
     "energies": lambda: figures.energies(tilts()),
-    "snapshots": lambda: figures.snapshots(undamped(), times=[0.0, 0.1, 0.2, 0.3]),
-    "ten": lambda: figures.over_time("distance", tilts() * 3 + tilts()[:1], aligned=True),
+    "snapshots": lambda: figures.snapshots(run("tilt_p10"), count=4),
     "geometry": lambda: draw_geometry(capture_sim.load_scene("tilt_0")),
 }
 
@@ -99,7 +97,7 @@ def test_plot_is_as_its_stored_image(name):
 @pytest.mark.parametrize(
     "name, other",
     [
-        ("distance", lambda: figures.over_time("distance", tilts()[:2], aligned=True)),
+        ("sheet", lambda: plots.plot(*tilts()[:2], labels=["a", "b"])),
         ("run", lambda: plots.draw_run(run("tilt_m10"))),
         ("trajectory", lambda: figures.trajectory(tilts()[::-1])),
         ("energies", lambda: figures.energies([tilts()[0]] * 3)),
@@ -172,6 +170,16 @@ def test_a_touch_in_which_the_run_ended_is_drawn_to_its_end():
     assert (shaded.x0, shaded.x1) == pytest.approx((longest["start"], last))
 
 
+@pytest.mark.parametrize("name, is_near", [("paper_undamped", False), ("paper_designed", True)])
+def test_the_end_of_a_path_is_marked_where_it_can_be_seen(name, is_near):
+    [axes] = figures.trajectory(run(name)).axes
+    assert bool(axes.child_axes) is is_near  # the surroundings of BE, enlarged
+    for each in axes.child_axes or [axes]:
+        marks = [line.get_xydata() for line in each.get_lines() if line.get_marker() == "o"]
+        end = tip_in_cone(run(name).samples)[-1] * 1e3
+        assert any(mark.tolist() == [end.tolist()] for mark in marks)
+
+
 def test_an_unwritable_folder_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match="cannot write"):
@@ -197,6 +205,18 @@ def test_a_map_has_no_contours_around_single_runs():
     pieces = [piece for path in lines.get_paths() for piece in path.to_polygons(closed_only=False)]
     assert pieces
     assert all(np.ptp(piece, axis=0).max() > 2.0 for piece in pieces)
+
+
+def test_the_strongest_input_of_a_tornado_is_at_the_top_of_every_panel():
+    table = pd.DataFrame({"verdict": ["captured"] * 3})
+    correlations = {"max_normal_force": [0.2, -0.9, 0.5], "captured": [0.1, 0.3, -0.6]}
+    found = pd.DataFrame(correlations, index=["k", "c", "mass"])
+    first, second = draw_tornado(table, found, "bench").axes
+    assert [text.get_text() for text in first.get_yticklabels()] == ["c", "mass", "k"]
+    low, high = first.get_ylim()
+    assert low > high  # the first is the highest
+    assert [bar.get_width() for bar in first.patches] == [-0.9, 0.5, 0.2]
+    assert [bar.get_width() for bar in second.patches] == [0.3, -0.6, 0.1]
 
 
 def main():

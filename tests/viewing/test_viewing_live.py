@@ -70,10 +70,10 @@ def test_a_viewer_that_connects_late_has_the_run_so_far(live, run, tmp_path):
         times, tip = column(found, "/trial/close_up/tip", "positions")
         assert times * 1e-9 == pytest.approx(every["t"], abs=1e-9)
         assert tip == pytest.approx(tip_in_cone(every) * 1e3, abs=1e-4)
-        # the pieces of the trail together are the whole way
+        # the pieces of the trail together are the complete path
         pieces = column(found, "/trial/close_up/trail", "strips")[1]
-        way = [tuple(point) for piece in pieces for point in piece]
-        assert set(way) == {
+        path = [tuple(point) for piece in pieces for point in piece]
+        assert set(path) == {
             tuple(point) for point in (tip_in_cone(every) * 1e3).astype("f4").tolist()
         }
         _, peaks = column(found, "/plots/contact_force/trial/touches", "scalars")

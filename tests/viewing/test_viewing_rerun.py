@@ -174,7 +174,12 @@ def test_scene_without_a_string_has_no_plot_of_its_tension():
 
 @pytest.mark.parametrize(
     "values, expected",
-    [((-8.8, 8.0), (-10, 0)), ((-0.1, 0.99), (0, 1)), ((0.5, 118.0), (0, 100)), ((0, 54), (0, 50))],
+    [
+        ((-8.8, 8.0), (-10, 10)),
+        ((-0.1, 0.99), (0, 1)),
+        ((0.5, 118.0), (0, 100)),
+        ((0, 54), (0, 50)),
+    ],
 )
 def test_axes_have_two_labels_at_least(values, expected):
     low, high = ticked(*values)
