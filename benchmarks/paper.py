@@ -114,7 +114,7 @@ def _even(low: float, high: float, count: int) -> tuple[float, ...]:
 
 _V_EPS = tuple(np.geomspace(1e-4, 1e-2, 13).tolist())
 _H_0 = (0.1365, *_even(0.15, 0.24, 19))
-_FRICTION = ("tanh", "clamp", "coulomb", "none")
+_FRICTION = ("tanh", "clamp", "brown_mcphee", "coulomb", "none")
 
 ASSUMPTIONS = (
     Assumption("restitution e", "contact.restitution", "", 1, _even(0, 0.95, 20), "not given", 0.5),

@@ -28,7 +28,16 @@ from capture_sim.model.contact import FRICTION_LAWS
 from capture_sim.model.equations import hold_at_rest
 from capture_sim.model.parameters import pack
 from capture_sim.model.stiffness import stiffest_part
-from capture_sim.samples import EXTREMES, SAMPLE, TOUCH, Event, EventKind, Extremes, Phase
+from capture_sim.samples import (
+    EXTREME_NAMES,
+    EXTREMES,
+    SAMPLE,
+    TOUCH,
+    Event,
+    EventKind,
+    Extremes,
+    Phase,
+)
 from capture_sim.scene.parts import Scene
 from capture_sim.solver.pairs import PAIRS
 from capture_sim.solver.runge_kutta import set_pair
@@ -102,11 +111,11 @@ class Checkpoint(NamedTuple):
 
 
 class Memory:
-    """Memory of one run.
+    """Memory of one run at a time; a later run can have it again, as new memory costs time.
 
     ``samples`` (n,) of dtype SAMPLE is room for the samples of a call, which the next call
-    overwrites: runs of a study that are integrated one after the other share it, as new memory
-    costs time.  None for new room in each call.
+    overwrites: runs of a study that are integrated one after the other share it.  None for new room
+    in each call.
     """
 
     def __init__(self, samples: np.ndarray | None = None) -> None:
@@ -119,11 +128,17 @@ class Memory:
 
 
 @functools.lru_cache(maxsize=len(PAIRS))
-def _state_with_pair(method: str) -> np.ndarray:
-    """Return the bytes of a workspace up to its log, 0 but for the coefficients of a pair."""
+def _first_state(method: str) -> np.ndarray:
+    """Return the bytes of a workspace up to its log, with what all runs of a method begin with."""
     workspace = np.zeros(1, WORKSPACE)
     set_pair(workspace[0]["stepper"], PAIRS[method]())
+    step = workspace[0]["step"]
+    step["h_next"], step["error"] = _FIRST_STEP, _FIRST_ERROR
+    step["equations_changed"] = 1
     return workspace.view(np.uint8)[:_STATE_BYTES]
+
+
+_NO_TRACE = np.zeros(0, SAMPLE)
 
 
 class Bench:
@@ -139,7 +154,8 @@ class Bench:
         True to keep the contact at the integrator's own steps, see :attr:`trace`;
         ``scene.run.trace`` does the same.
     memory
-        Memory for this bench alone; its space for samples may be shared.  None for new memory.
+        Memory for this bench alone as long as it is used; its space for samples may be shared.
+        None for new memory.
 
     Examples
     --------
@@ -163,17 +179,20 @@ class Bench:
         self.plan = own_plan if plan is None else plan
         self._memory = Memory() if memory is None else memory
         self._workspace = self._memory.workspace
-        self._workspace.view(np.uint8)[:_STATE_BYTES] = _state_with_pair(scene.run.method)
+        self._workspace.view(np.uint8)[:_STATE_BYTES] = _first_state(scene.run.method)
         self._record = w = self._workspace[0]
-        self._system = w["system"]
+        self._system, stepper = w["system"], w["stepper"]
         launch = self.plan.hanging_mass, self.plan.drop_height, self.plan.impact_speed
-        self._system["par"] = pack(scene, *launch)[0]
+        par = pack(scene, *launch)[0]
+        self._system["par"] = par
         q, v = scene.initial_coordinates()
-        w["stepper"]["y"][:16] = *q, *v
-        w["stepper"]["weights"] = 1.0 / error_scale(self._system["par"])
-        self._trace_room = np.zeros(_TRACE_ROOM if trace or scene.run.trace else 0, SAMPLE)
+        y = stepper["y"]
+        y[:8], y[8:16] = q, v
+        stepper["weights"] = 1.0 / error_scale(par)
+        has_trace = trace or scene.run.trace
+        self._trace_room = np.zeros(_TRACE_ROOM, SAMPLE) if has_trace else _NO_TRACE
         self._traced: list[np.ndarray] = []
-        self._begin()
+        self._begin(par)
         self._touches: list[np.void] = []
         self._unread: list[np.ndarray] = []
         self._last_time = -math.inf  # last requested sample time, s
@@ -183,22 +202,20 @@ class Bench:
             detail = f"{self.plan.hanging_mass:.6g} kg from {self.plan.drop_height:.6g} m"
         self._events = [Event(EventKind.RELEASE, 0.0, q, v, detail=detail)]
 
-    def _begin(self) -> None:
-        step, rail, y = self._record["step"], self._record["rail"], self._record["stepper"]["y"]
-        mode, par = self._system["mode"], self._system["par"]
-        self._record["progress"]["t_stop"] = self.scene.run.t_end
+    def _begin(self, par: np.void) -> None:
+        """Write what holds the bench at the release; ``par`` is of dtype PARAMETERS."""
+        scene, rail, mode = self.scene, self._record["rail"], self._system["mode"]
+        chaser, target = scene.initial.chaser, scene.initial.target
+        self._record["progress"]["t_stop"] = scene.run.t_end
         mode["held"] = hold_at_rest(par)
-        step["h_next"] = _FIRST_STEP
-        step["error"] = _FIRST_ERROR
-        step["equations_changed"] = 1
-        rail["on"] = self.scene.rail is not None
-        rail["taut"] = self.scene.string is not None
-        rail["speed"] = math.hypot(y[8], y[9]) if rail["on"] else 0.0
-        if par["has_supports"]:
-            is_at_rest = not y[13:16].any()
-            mode["rest_T"] = int(is_at_rest and par["balls_T"][:, 2].sum() > 0.0)
-            is_at_rest = not y[8:11].any() and not rail["on"]
-            mode["rest_S"] = int(is_at_rest and par["balls_S"][:, 2].sum() > 0.0)
+        if scene.rail is not None:
+            rail["on"], rail["taut"] = 1, scene.string is not None
+            rail["speed"] = math.hypot(chaser.vx, chaser.vy)
+        if scene.supports is not None:
+            if not (target.vx or target.vy or target.omega):
+                mode["rest_T"] = par["balls_T"][:, 2].any()
+            if scene.rail is None and not (chaser.vx or chaser.vy or chaser.omega):
+                mode["rest_S"] = par["balls_S"][:, 2].any()
 
     def initial_workspace(self) -> np.ndarray:
         """Return a copy of the engine's record, (1,) of dtype WORKSPACE.
@@ -217,6 +234,8 @@ class Bench:
         """All touches that have ended so far, (n,) of dtype TOUCH."""
         lift_off = int(EventKind.LIFT_OFF)  # NumPy is slow with an IntEnum
         ended = [raw["touch"][raw["kind"] == lift_off] for raw in self._unread]
+        if len(ended) == 1 and not self._touches:
+            return ended[0]
         return joined([np.array(self._touches, dtype=TOUCH), *ended])
 
     @property
@@ -267,7 +286,8 @@ class Bench:
         Before the end of the run, they cover the time up to the start of the current step.
         """
         totals = self._record["totals"]
-        values = np.stack([np.abs(totals["extreme"]), totals["extreme_time"]], axis=-1)
+        values = np.empty((2, len(EXTREME_NAMES), 2))
+        values[..., 0], values[..., 1] = np.abs(totals["extreme"]), totals["extreme_time"]
         before, after = values.reshape(2, -1).view(EXTREMES)[:, 0]
         return Extremes(before, after if self._system["mode"]["latched"] else None)
 
@@ -306,8 +326,18 @@ class Bench:
             self._last_time = float(times[-1])
         t_stop = float(self._record["progress"]["t_stop"])
         if not self.done and (times.size == 0 or times[-1] >= t_stop):
-            # no sample lies beyond the end: a time that is never reached runs to it
-            times = np.append(times, np.inf)
+            times = to_the_end(times)
+        return self._advance(times)
+
+    def finish(self, times: np.ndarray) -> np.ndarray:
+        """Run from the release to the end; as :meth:`advance`, for many runs with the same times.
+
+        ``times`` are those of :func:`to_the_end`, and ascend from 0 or later; this is not checked.
+        """
+        self._last_time = math.inf
+        return self._advance(times)
+
+    def _advance(self, times: np.ndarray) -> np.ndarray:
         samples = self._memory.samples(times.shape[0])  # only samples[:served] are returned
         workspace, trace = records(self._workspace), records(self._trace_room)
         progress = self._record["progress"]
@@ -412,6 +442,11 @@ def joined(parts: Sequence[np.ndarray]) -> np.ndarray:
     # as bytes: field by field, NumPy needs eight times as long
     raw = [np.ascontiguousarray(part).view(f"V{part.itemsize}") for part in parts]
     return np.concatenate(raw).view(parts[0].dtype)
+
+
+def to_the_end(times: np.ndarray) -> np.ndarray:
+    """Return sample times (n,) and one more, that no run reaches, (n + 1,): up to it a run ends."""
+    return np.append(times, np.inf)
 
 
 def check_times(

@@ -148,11 +148,11 @@ def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
     # as plain numbers: access to the fields of a record is slow
     rows: list[Any] = [row.item() for row in extremes if row is not None]
     loads: dict[str, Any] = {}
-    for load, columns in _columns_of_loads():
-        whole = _peak(load, columns, rows)
-        before = whole if len(rows) == 1 else _peak(load, columns, rows[:1])
-        loads[load.key], loads[f"{load.key}_time"] = whole
-        loads[f"{load.key}_before_latch"], loads[f"{load.key}_before_latch_time"] = before
+    for load, keys, columns in _columns_of_loads():
+        before = _peak(load, columns, rows[:1])
+        whole = before if len(rows) == 1 else _peak(load, columns, rows)
+        loads[keys[0]], loads[keys[1]] = whole
+        loads[keys[2]], loads[keys[3]] = before
     del loads["max_latch_force_before_latch"], loads["max_latch_force_before_latch_time"]
     loads["touches"] = int(touches.size)
     loads["first_contact_impulse"] = _if_measured(first_cluster(touches)["impulse"].sum())
@@ -160,11 +160,16 @@ def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
 
 
 @functools.cache
-def _columns_of_loads() -> list[tuple[Load, list[tuple[int, int]]]]:
-    """Return each load with the positions of its extremes in EXTREMES, and of their times."""
+def _columns_of_loads() -> list[tuple[Load, list[str], list[tuple[int, int]]]]:
+    """Return each load, its keys, and the positions of its extremes in EXTREMES and their times."""
     names = EXTREMES.names or ()
+    ends = ("", "_time", "_before_latch", "_before_latch_time")
     return [
-        (load, [(names.index(name), names.index(f"{name}_time")) for name in load.extremes])
+        (
+            load,
+            [f"{load.key}{end}" for end in ends],
+            [(names.index(name), names.index(f"{name}_time")) for name in load.extremes],
+        )
         for load in LOADS
     ]
 

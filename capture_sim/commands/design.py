@@ -14,10 +14,10 @@ from rich.console import Console
 from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
-    SEEDS,
     add_limits,
     add_out,
     add_scene,
+    add_seed,
     add_under,
     add_workers,
     dispersions,
@@ -107,12 +107,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"(default: {','.join(FREE)}). buffer.c_A_rebound keeps its ratio to buffer.c_A unless it "
         "is free",
     )
-    parser.add_argument(
-        "--seed",
-        type=whole(SEEDS),
-        default=1,
-        help="set the seed of the search and of the draws (default: 1)",
-    )
+    add_seed(parser, "the search and of the draws")
     add_under(parser, "require the limits under the distributions of this YAML file")
     parser.add_argument(
         "--confidence",

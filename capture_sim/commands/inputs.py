@@ -238,6 +238,13 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_seed(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add ``--seed``."""
+    parser.add_argument(
+        "--seed", type=whole(SEEDS), default=1, help=f"set the seed of {what} (default: 1)"
+    )
+
+
 def add_under(parser: argparse.ArgumentParser, help_text: str) -> None:
     """Add the file of the dispersions of a study, and their correlations."""
     parser.add_argument(

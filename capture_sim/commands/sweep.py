@@ -14,9 +14,9 @@ import numpy as np
 from capture_sim.commands import INTERRUPTED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
-    SEEDS,
     add_limits,
     add_scene,
+    add_seed,
     add_under,
     add_workers,
     dispersions,
@@ -121,9 +121,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="draw independently, or by a Latin hypercube, a Sobol sequence, or Saltelli's design "
         "for Sobol indices (default: random)",
     )
-    parser.add_argument(
-        "--seed", type=whole(SEEDS), default=1, help="set the seed of the draws (default: 1)"
-    )
+    add_seed(parser, "the draws")
     parser.add_argument(
         "--edges",
         type=whole(),

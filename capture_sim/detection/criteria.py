@@ -201,13 +201,21 @@ MEMORY = np.dtype(
 
 def new_memory(*, has_approached: bool) -> np.ndarray:
     """Return the memory (1,) at the start of a run; see :func:`decide` for the parameter."""
-    memory = np.zeros(1, MEMORY)
+    memory = _FIRST_MEMORY.copy()
     memory["has_approached"] = has_approached
+    return memory
+
+
+def _first_memory() -> np.ndarray:
+    memory = np.zeros(1, MEMORY)
     memory["has_stayed"] = True
     memory["nearest"] = memory["nearest_gap"] = math.inf
     for name in ("first_t", "zone_since", "still_since", "axial", "lateral"):
         memory[name] = math.nan
     return memory
+
+
+_FIRST_MEMORY = _first_memory()
 
 
 @kernel

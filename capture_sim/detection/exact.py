@@ -43,6 +43,18 @@ ROW = np.dtype(
 )
 
 
+def _first_row() -> np.ndarray:
+    row = np.zeros(1, ROW)
+    for name in _NUMBERS[1:6]:
+        row[name] = math.nan
+    row["nearest_distance"] = math.inf
+    return row
+
+
+#: The status before the first sample.
+_FIRST_ROW = _first_row()
+
+
 @entry_kernel
 def follow(criteria, memories, samples, y, rows, to_verdict):
     """Evaluate the criteria at each sample; return the number of samples used.
@@ -107,10 +119,7 @@ class ExactDetector:
         self._criteria = Criteria.of(scene)
         self._memory = new_memory(has_approached=True)
         self._y = np.zeros(16)
-        self._row = np.zeros(1, ROW)  # the last status
-        for name in _NUMBERS[1:6]:
-            self._row[name] = math.nan
-        self._row["nearest_distance"] = math.inf
+        self._row = _FIRST_ROW.copy()  # the last status
         self._text = ((-1, 0.0), "")  # the last reason
 
     @property
@@ -166,14 +175,14 @@ class ExactDetector:
         cut
             True if the run was ended before its time.
         """
-        memory, row = self._memory.view(_MEMORY_BY_NAME)[0], self._row[0]
+        memory, row = self._memory[0], self._row[0]
         if math.isnan(row["distance"]):
-            memory.state, memory.cause = CaptureState.UNDECIDED, Cause.NOT_MEASURED
+            memory["state"], memory["cause"] = CaptureState.UNDECIDED, Cause.NOT_MEASURED
         elif not self.final:
-            _decide_at_end(self._criteria, memory, 0.0, cut)
+            _decide_at_end(self._criteria, self._memory.view(_MEMORY_BY_NAME)[0], 0.0, cut)
         for name in ("state", "cause", "value"):
             row[name] = memory[name]
-        row["time_in_state"] = row["t"] - memory.since
+        row["time_in_state"] = row["t"] - memory["since"]
         return self._status(row.tolist(), is_over=not cut)
 
     def _status(self, row: Any, *, is_over: bool = False) -> CaptureStatus:

@@ -16,7 +16,7 @@ which is solved for the drop height H or, through a, for the mass.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from capture_sim.errors import SceneError
 from capture_sim.kernels import plain
@@ -26,8 +26,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.scene.remembered import depends_on
 
 
-@dataclass(frozen=True)
-class LaunchPlan:
+class LaunchPlan(NamedTuple):
     """How the chaser is launched; SI units."""
 
     # hanging_mass, drop_height: kg and m; zero in a scene without string

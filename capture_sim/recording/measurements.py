@@ -6,7 +6,6 @@ import math
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from itertools import repeat
 
@@ -96,8 +95,7 @@ def commanded_launch(bag: Bag, scene: Scene | None) -> LaunchPlan | None:
     if scene is None or scene.string is None or not bag.holds(topics.LAUNCH_COMMAND):
         return None
     columns = bag.columns(topics.LAUNCH_COMMAND)
-    return replace(
-        plan_launch(scene),
+    return plan_launch(scene)._replace(
         hanging_mass=float(columns["hanging_mass"][-1]),
         drop_height=float(columns["drop_height"][-1]),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from collections.abc import Iterable
@@ -43,9 +44,11 @@ def declaration_of(scene: Scene, name: str) -> Declared:
     owner, _, field = name.rpartition(".")
     part = Approach if owner == "approach" else type(paths.get(scene, owner) if owner else scene)
     what = declared(part).get(field) if issubclass(part, Checked) else None
-    if what is None or what.kind not in (float, int, str, bool):
+    if what is None or dataclasses.is_dataclass(what.kind):
         near = paths.alike([*paths.field_names(scene), *APPROACH], name)
         raise SceneError(f"{name}: no number of {scene.name}; {paths.did_you_mean(near)}")
+    if what.kind not in (float, int, str, bool):
+        raise SceneError(f"{name}: must be a single value, is a list; change it with --set")
     return what
 
 

@@ -4,7 +4,9 @@ Some values of a scene are free.  Differential evolution (:mod:`scipy.optimize`)
 two passes, over their whole ranges and then around the best buffer; it evaluates each population
 through the executor of the sweeps.  A buffer is feasible if its run ends in a capture and keeps all
 limits.  Every feasible buffer is better than every infeasible one; feasible ones are compared by
-their peak force, others by how far they are from feasible.
+their peak force, others by how far they are from feasible.  A run is given up as soon as its loads
+exceed those of the best buffers.  Both passes run at the tolerance of sweeps.  A last one, simplex
+searches from the best buffer, runs at the tolerance of the scene.
 
 Under dispersions, a candidate is run with the same draws as all others.  Its loads are then
 quantiles: what the required number of draws does not exceed.  As the best candidate is the one that
@@ -37,7 +39,15 @@ from capture_sim.studies.executors import InProcess, answers
 from capture_sim.studies.limits import Limit
 from capture_sim.studies.outcome import CAPTURED, Outcome, run_to_end
 from capture_sim.studies.sampling import Correlations
-from capture_sim.studies.sweep import FAILED, GIVEN_UP, Recipe, result_columns, run_rows, samples_of
+from capture_sim.studies.sweep import (
+    FAILED,
+    GIVEN_UP,
+    RTOL,
+    Recipe,
+    result_columns,
+    run_rows,
+    samples_of,
+)
 
 #: Values that are searched unless others are named.
 FREE = ("buffer.k_A", "buffer.k_T", "buffer.c_A")
@@ -49,8 +59,8 @@ OBJECTIVE = "max_normal_force"
 DRAWS, CHECK_DRAWS = 60, 400
 
 #: Candidates of a population for each free value, and populations of the two passes.
-_POPULATION = 12
-_GENERATIONS, _LOCAL_GENERATIONS = 40, 25
+_POPULATION = 10
+_GENERATIONS, _LOCAL_GENERATIONS = 24, 15
 #: The second pass searches this share of each range, around the best buffer of the first.
 _LOCAL_WIDTH = 0.12
 #: The last pass: sizes of the first simplices and where they end, in shares of the ranges, and the
@@ -328,6 +338,13 @@ def _rebound(scene: Scene, values: Mapping[str, float]) -> dict[str, float]:
     return {name: own.c_A_rebound / own.c_A * values["buffer.c_A"]}
 
 
+def _at_tolerance_of_sweeps(scene: Scene) -> Scene:
+    """Return the scene at the tolerance of sweeps, or at its own if that is looser."""
+    return dataclasses.replace(
+        scene, run=dataclasses.replace(scene.run, rtol=max(scene.run.rtol, RTOL))
+    )
+
+
 class _Search:
     """The search for one design, and its history."""
 
@@ -340,7 +357,8 @@ class _Search:
         executor: Executor,
         report: Callable[[Candidate], None] | None,
     ) -> None:
-        self._scene, self._requirements, self._variables = scene, requirements, variables
+        self._given, self._scene = scene, _at_tolerance_of_sweeps(scene)
+        self._requirements, self._variables = requirements, variables
         self._seed, self._executor, self._report = seed, executor, report
         self.history: list[Candidate] = []
         self.n_runs = 0
@@ -352,14 +370,20 @@ class _Search:
 
     def scene_of(self, candidate: Candidate) -> Scene:
         """Return the scene with a candidate's buffer."""
-        return with_values(self._scene, candidate.values)
+        return with_values(self._given, candidate.values)
 
     def nominal(self) -> Candidate:
         """Return the best buffer of the scene without dispersions."""
         whole = [(0.0, 1.0)] * len(self._variables)
         best = self._minimise(self._run_alone, whole, _GENERATIONS, None)
         best = self._minimise(self._run_alone, self._around(best), _LOCAL_GENERATIONS, best)
-        return self._polished(best) if best.feasible else best
+        if not best.feasible:
+            return best
+        self._scene = self._given  # what is found holds at its tolerance
+        best = self._polished(best)
+        if not best.feasible:  # a limit is exceeded by the error of a coarse run
+            best = self._minimise(self._run_alone, self._around(best), _LOCAL_GENERATIONS, best)
+        return best
 
     def _polished(self, best: Candidate) -> Candidate:
         """Return the best of some simplex searches (Nelder-Mead), each from the best so far.
@@ -367,6 +391,7 @@ class _Search:
         The force jumps where the sequence of touches changes, so the simplices begin with several
         sizes.
         """
+        n_before = len(self.history)
 
         def merit(shares: np.ndarray) -> float:
             candidates = self._run_alone([self._values(shares.clip(0.0, 1.0).tolist())])
@@ -384,11 +409,12 @@ class _Search:
                 "fatol": _FORCE_TOLERANCE,
             }
             minimize(merit, start, method="Nelder-Mead", options=options)
-            best = min(self.history, key=lambda candidate: candidate.merit)
+            best = min(self.history[n_before:], key=lambda candidate: candidate.merit)
         return best
 
     def robust(self) -> tuple[Candidate, Probability]:
         """Return the best buffer under dispersions, and its share of success in new draws."""
+        self._scene = _at_tolerance_of_sweeps(self._given)
         population = self._promising()
         for number in range(_ROUNDS):
             draws = self._draws(self._requirements.draws * 2**number, 2 * number)

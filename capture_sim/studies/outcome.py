@@ -7,14 +7,14 @@ These are the units of work of studies.  Contact and verdict are those of
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from capture_sim.bench import Bench, Memory, drive
+from capture_sim.bench import Bench, Memory, drive, to_the_end
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.detection.exact import ExactDetector
 from capture_sim.errors import SimulationError
@@ -61,7 +61,7 @@ def run_to_verdict(scene: Scene) -> Outcome:
     at most 20 measurements of the detector later than the verdict.
     """
     run = StudyRun(scene)
-    run.integrate(to_verdict=True)
+    run.integrate_to_verdict()
     return run.outcome()
 
 
@@ -87,30 +87,46 @@ class StudyRun:
         self._energy_residual, self._failure = 0.0, ""
         self._given_up = False
 
-    def integrate(
-        self, *, to_verdict: bool = False, ceilings: Mapping[str, float] | None = None
-    ) -> None:
-        """Run to the end, or only to the verdict.
+    def integrate(self, ceilings: Mapping[str, float] | None = None) -> None:
+        """Run to the end; give up soon after a load exceeds its ceiling.
 
-        The run is given up soon after a load exceeds its ceiling, SI, by its name in results.
+        ``ceilings``: SI, by the names of the loads in results; None for none.
         """
-        detector = self._detector
-        block = _BLOCK if to_verdict or ceilings else self._times.size
-        for piece in drive(self._bench, self._times, block=block):
-            residual = np.abs(piece.samples["energy_residual"])
-            self._energy_residual = float(residual.max(initial=self._energy_residual))
+        if ceilings:
+            self._integrate_in_pieces(lambda: self._exceeds(ceilings))
+            return
+        try:
+            samples = self._bench.finish(self._times)
+        except SimulationError as error:
+            samples, self._failure = error.partial, str(error)
+        self._detector.to_end(samples)
+        self._note_residual(samples)
+
+    def integrate_to_verdict(self) -> None:
+        """Run to the verdict, or to the end."""
+        self._integrate_in_pieces(lambda: self._detector.final, to_verdict=True)
+
+    def _integrate_in_pieces(
+        self, is_enough: Callable[[], bool], *, to_verdict: bool = False
+    ) -> None:
+        """Run to the end, or to that of a piece after which it is enough."""
+        take = self._detector.until_verdict if to_verdict else self._detector.to_end
+        for piece in drive(self._bench, self._times[:-1], block=_BLOCK):
+            self._note_residual(piece.samples)
             self._failure = str(piece.failure or "")
-            if not to_verdict:
-                detector.to_end(piece.samples)
-            elif detector.until_verdict(piece.samples) and detector.final:
-                return
-            if ceilings and self._is_beyond(ceilings):
-                self._given_up = True
+            take(piece.samples)
+            if is_enough():
                 return
 
-    def _is_beyond(self, ceilings: Mapping[str, float]) -> bool:
+    def _exceeds(self, ceilings: Mapping[str, float]) -> bool:
+        """Return True if a load is beyond its ceiling; the run is then given up."""
         loads = loads_of(self._bench.extremes, self._bench.touches)
-        return any((loads[key] or 0.0) > ceiling for key, ceiling in ceilings.items())
+        self._given_up = any((loads[key] or 0.0) > ceiling for key, ceiling in ceilings.items())
+        return self._given_up
+
+    def _note_residual(self, samples: np.ndarray) -> None:
+        residual = np.abs(samples["energy_residual"])
+        self._energy_residual = float(residual.max(initial=self._energy_residual))
 
     def outcome(self) -> Outcome:
         """Return the verdict and the loads up to the last integrated step."""
@@ -132,9 +148,12 @@ class StudyRun:
 
 @lru_cache(maxsize=4)
 def _measured_at(t_end: float, rate: float) -> np.ndarray:
-    """Return the times of the detector's measurements, s; most runs of a study share them."""
+    """Return the times of the detector's measurements, s, and that of :func:`to_the_end`.
+
+    Most runs of a study share them.
+    """
     times: np.ndarray = np.arange(math.floor(t_end * rate) + 2) / rate
-    return times[times <= t_end]
+    return to_the_end(times[times <= t_end])
 
 
 @dataclass(frozen=True)

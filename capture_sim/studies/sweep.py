@@ -9,8 +9,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import threading
 import warnings
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from pathlib import Path
@@ -362,8 +363,8 @@ def run_rows(
     A run is given up when a load exceeds its ceiling, see :meth:`StudyRun.integrate`.
     """
     columns = result_columns(check=check, limited=bool(limits))
-    samples = np.empty(_ROOM, SAMPLE)  # of one run after the other
-    prepared = [_prepared(recipe, row, samples, check=check) for row in rows]
+    memories = iter(_kept.memories(2 * len(rows) if check else len(rows)))
+    prepared = [_prepared(recipe, row, memories, check=check) for row in rows]
     for runs in prepared:
         if not isinstance(runs, SceneError):
             for run in runs:
@@ -376,14 +377,34 @@ def run_rows(
 _ROOM = 4096
 
 
+class _Kept(threading.local):
+    """Memory of the runs of a call, kept for the next one; a cluster's threads have each their own.
+
+    All runs of a call share the room for samples.
+    """
+
+    def __init__(self) -> None:
+        self._samples = np.empty(_ROOM, SAMPLE)
+        self._memories: list[Memory] = []
+
+    def memories(self, count: int) -> list[Memory]:
+        """Return the memories of so many runs."""
+        missing = count - len(self._memories)
+        self._memories += [Memory(self._samples) for _ in range(missing)]
+        return self._memories[:count]
+
+
+_kept = _Kept()
+
+
 def _prepared(
-    recipe: Recipe, row: tuple[Any, ...], samples: np.ndarray, *, check: bool
+    recipe: Recipe, row: tuple[Any, ...], memories: Iterator[Memory], *, check: bool
 ) -> tuple[StudyRun, ...] | SceneError:
     """Return a row's run, with ``check`` also that at half the tolerance, or why it has none."""
     try:
         scene = recipe.scene_of(row)
         scenes = (scene, _at_half_tolerance(scene)) if check else (scene,)
-        return tuple(StudyRun(scene, Memory(samples)) for scene in scenes)
+        return tuple(StudyRun(scene, next(memories)) for scene in scenes)
     except SceneError as error:
         return error
 

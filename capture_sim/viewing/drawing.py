@@ -63,8 +63,9 @@ def draw_end(axes: Axes, plotted: PlottedRun) -> None:
         axes.plot(0.08, 0.08, transform=axes.transAxes, **look)
         axes.text(0.15, 0.08, text, transform=axes.transAxes, va="center", fontsize=style.SMALL)
     else:
-        below: dict[str, Any] = {"textcoords": "offset points", "va": "top", "ha": "center"}
-        axes.annotate(text, tuple(path[-1]), (0, -9), fontsize=style.SMALL, **below)
+        side = 1 if path[-1, 1] > 0.0 else -1  # away from the axis, where no path is
+        place: dict[str, Any] = {"textcoords": "offset points", "va": "center", "ha": "center"}
+        axes.annotate(text, tuple(path[-1]), (0, 15 * side), fontsize=style.SMALL, **place)
     axes.plot(*path[-1], zorder=8, **look)
 
 

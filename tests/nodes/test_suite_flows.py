@@ -2,7 +2,6 @@
 
 import re
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -388,7 +387,7 @@ def heavier(monkeypatch):
 
     def plan(scene, armed):
         planned = plan_of(scene, armed)
-        return replace(planned, hanging_mass=1.5 * planned.hanging_mass)
+        return planned._replace(hanging_mass=1.5 * planned.hanging_mass)
 
     monkeypatch.setattr(simulator_module, "_plan", plan)
 

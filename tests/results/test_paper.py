@@ -86,3 +86,12 @@ def test_the_bench_without_latches_runs_to_its_end(name):
     assert run.events[-1].kind.label == "end"
     assert run.t[-1] == pytest.approx(20.0)
     assert run.verdict == "captured"
+
+
+def test_case_3_without_memory_of_the_damping_rebounds_after_the_end_of_its_run():
+    """docs/reproduction.md: at 3 s the tip is less than 5 mm beyond its closest approach."""
+    without_memory = load_scene("paper_case_3", ["contact.min_approach_speed=0.1"])
+    at_end, later = simulate(without_memory), simulate(without_memory, t_end=4.0)
+    beyond = at_end.samples["tip_distance"][-1] - at_end.loads["nearest_distance"]
+    assert beyond == pytest.approx(3.9e-3, abs=0.05e-3)
+    assert (at_end.verdict, later.verdict) == ("undecided", "rebound")

@@ -24,6 +24,7 @@ from capture_sim.studies.executors import open_executor
 from capture_sim.studies.limits import make_limits
 from capture_sim.studies.outcome import run_to_end
 from capture_sim.studies.paper_flow import with_buffer
+from capture_sim.studies.sweep import Recipe, result_columns, run_rows
 
 SERVICER = Path(__file__).parents[2] / "examples" / "servicer.yaml"
 LIMITS = make_limits(
@@ -85,6 +86,23 @@ def test_a_seed_gives_one_design_wherever_it_is_computed(servicer):
         there = design_buffer(servicer, Requirements(limits), free, executor=executor)
     assert [x.values for x in here.history] == [x.values for x in there.history]
     assert here.scene == there.scene
+
+
+def test_a_run_beyond_its_ceilings_is_given_up_and_no_other(servicer):
+    recipe, row = Recipe(servicer, FREE), (1067.9, 843.14, 23.8)
+    columns = result_columns(check=False, limited=False)
+
+    def run(most):
+        (results,) = run_rows(recipe, False, (), [row], {"max_normal_force": most})
+        return dict(zip(columns, results, strict=True))
+
+    (whole,) = run_rows(recipe, False, (), [row])
+    whole = dict(zip(columns, whole, strict=True))
+    assert run(whole["max_normal_force"]) == whole
+    stopped = run(0.5 * whole["max_normal_force"])
+    assert stopped["verdict"] == "given up"
+    assert 0.5 * whole["max_normal_force"] < stopped["max_normal_force"]
+    assert stopped["touches"] < whole["touches"]
 
 
 def test_what_is_free_is_searched_and_a_rebound_damper_keeps_its_ratio(servicer):

@@ -432,6 +432,10 @@ def test_an_experiment_is_the_approach_that_it_is(name):
 
 # values that no field takes are drawn in tests/commands/test_arguments.py
 BAD = [
+    (
+        {"buffer.force_table": "1,2"},
+        "buffer.force_table: must be a single value, is a list; change",
+    ),
     ({"buffer.cA": "1:2:3"}, r"buffer.cA: no number of tilt_0; did you mean buffer.c_A\?"),
     ({"mass": "1"}, "did you mean chaser.mass, target.mass or cylinder.mass"),
     ({"rail": "1"}, "rail: no number"),
