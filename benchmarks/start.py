@@ -4,6 +4,7 @@
 
 ``stages`` imports in one process what ``run tilt_0 --no-record`` needs, in that order, and runs the
 scene; ``commands`` runs commands, each in processes of its own.  CHECKOUT has a .venv of its own.
+Writes the parts of docs/model.md.
 """
 
 from __future__ import annotations
@@ -100,9 +101,9 @@ def commands(asked: Namespace, _: Path) -> list[str]:
 
 if __name__ == "__main__":
     write_parts(
-        None,
+        "model",
         __doc__,
         {"stages": stages, "commands": commands},
         before=(None, "checkout of an earlier state"),
-        rounds=(5, "of each figure"),
+        rounds=(3, "of each figure"),
     )
