@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import UnivariateSpline
 
 from capture_sim.scene.parts import Cone
 
@@ -265,6 +264,9 @@ def _peak(t: np.ndarray, values: np.ndarray, sigma: float) -> tuple[float, float
     The largest of many samples would read high by some sigma, and a parabola through the largest
     of a few reads low, by 2 % where they are 50 us apart and the touch lasts 0.35 ms.
     """
+    # imported here: the import takes a quarter of a second, and only sampled forces need it
+    from scipy.interpolate import UnivariateSpline
+
     count = len(t)
     residual = max(count - _BELOW_NOISE * math.sqrt(2.0 * count), 0.0) * sigma**2
     curve = UnivariateSpline(t, values, k=3, s=residual)
