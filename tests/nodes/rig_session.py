@@ -81,7 +81,7 @@ class Goal:
 
     def result(self):
         """Wait for the end; return the goal's status and the result."""
-        wait_until(self._result.done, "no result of a goal")
+        wait_until(self._result.done, lambda: f"no result of a goal: {self.feedback[-1:]}")
         answer = self._result.result()
         return answer.status, answer.result
 
@@ -135,6 +135,7 @@ class Session:
         **options,
     ):
         self.client, self.folder = client, folder
+        self.has_actuator = actuator == "output"
         streams = f"[{', '.join([*poses, *STREAMS])}]"
         self.detector = start("capture_detector", **options)
         self.recorder = start("recorder", out=folder, topics=streams, **options)
@@ -159,7 +160,7 @@ class Session:
             qos_profile_sensor_data,
         )
         self.actions = actions_of(client)
-        if actuator == "output":  # a topic that is not ours: the recorder looks for it
+        if self.has_actuator:  # a topic that is not ours: the recorder looks for it
             wait_until(lambda: self._is_read_by("recorder", "/launcher/hold"))
 
     def _is_read_by(self, node, topic):
@@ -180,6 +181,8 @@ class Session:
         self.stamps.clear()
         with rig(kind, parameters) as node:
             wait_until(lambda: self.stamps)
+            if self.has_actuator:  # it lets go only at a false that follows a true
+                wait_until(lambda: node.armed, "the bench has no launcher/hold")
             yield node
 
     def wait(self, seconds):

@@ -30,6 +30,7 @@ from capture_sim.hardware.messages import (
     RIG_TIP,
     TIP,
     TIP_WRENCH,
+    stamp_of,
     tip_message,
     wrench_message,
 )
@@ -233,6 +234,11 @@ def test_a_stiff_rig_stops_the_vehicles(lockstep):
     assert "N: must be <= 300" in loop.text
 
 
+def await_steps(tips):
+    """Wait until a loop goes: positions at rest all have one stamp."""
+    wait_until(lambda: len({stamp_of(tip) for tip in list(tips)}) > 2)
+
+
 def test_a_step_that_is_late_is_never_caught_up_with(start, tmp_path):
     """The loop's process is stopped for half a second: the run ends that much later, or at once."""
     start("contact_rig", ideal="true")
@@ -240,8 +246,10 @@ def test_a_step_that_is_late_is_never_caught_up_with(start, tmp_path):
     report = tmp_path / "report.json"
     for limit, status in ((10.0, 0), (0.05, 1)):
         limits = {**WIDE, "lateness_limit": limit, "report": report}
-        loop = start("loop_simulator", overrides="[run.t_end=1]", **limits)
-        loop.wait_for("the loop is closed")
+        with Client() as client:
+            sent = client.listen(TIP)
+            loop = start("loop_simulator", overrides="[run.t_end=2]", **limits)
+            await_steps(sent)
         os.kill(loop.process.pid, signal.SIGSTOP)
         time.sleep(0.5)
         os.kill(loop.process.pid, signal.SIGCONT)
@@ -405,9 +413,11 @@ def test_the_robot_of_the_example_drives_to_the_start_serves_a_loop_and_holds(st
     try:
         loop = start("loop_simulator", overrides="[run.t_end=0.04]", **wide)
         assert loop.status() == 0, loop.text
-        loop = start("loop_simulator", overrides="[run.t_end=30]", **wide)
-        loop.wait_for("the loop is closed")
-        loop.process.kill()
+        with Client() as client:
+            answered = client.listen(RIG_TIP)
+            loop = start("loop_simulator", overrides="[run.t_end=30]", **wide)
+            await_steps(answered)  # a position at rest is not missed
+            loop.process.kill()
         rig.wait_for("no position for 1 s")
         assert rig.end() == 0
     finally:

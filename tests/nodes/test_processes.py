@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 from bench_processes import Client, Started, fresh, processes, statuses, wait_until
-from capture_sim.action import RunTrial
 from forked import Forked
 from rig_session import FakeRig, Goal, actions_of, rig
 
@@ -219,8 +218,9 @@ def test_a_driver_holds_when_the_launcher_is_killed(start):
         launcher = start("launcher", actuator="output", scene="tilt_0", **options)
         launcher.wait_for("ready for trials")
         with rig(FakeRig, {"hold_timeout": 1.0}) as node:
-            goal = Goal(actions_of(client))
-            goal.await_phase(RunTrial.Feedback.APPROACH)
+            wait_until(lambda: node.armed)  # else it lets nothing go
+            Goal(actions_of(client))
+            wait_until(lambda: node.chaser.released is not None)
             launcher.process.kill()
             wait_until(lambda: node.chaser.released is None and node.chaser.trial == 1)
             began = node.chaser.t
