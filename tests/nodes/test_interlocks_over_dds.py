@@ -112,7 +112,7 @@ def test_hold_has_no_gaps_on_a_busy_machine(start, client, tmp_path):
     assert found, session.launcher.text
     steps, in_trial = int(found[1]), int(found[2])
     own, compiled = float(found[4]), int(found[5])
-    assert steps > 20
+    assert steps > 10
     assert in_trial > 3
     assert compiled == 0
     # s: the period, in which a flood of messages may keep it busy, and the longest callback
