@@ -10,14 +10,11 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from statistics import median
 
-#: Time over which the median of stamp less arrival is taken, s.
-CLOCK_WINDOW = 1.0
 #: A stamp that is older than the one before by more is that of a clock that was set back, s.
 MAX_STEP_BACK = 0.5
-#: So many of these within :data:`CLOCK_WINDOW` are the stamps of two publishers.
-MIN_STEPS_BACK = 3
+#: So many of these within so many s are the stamps of two publishers.
+MIN_STEPS_BACK, STEP_WINDOW = 3, 1.0
 
 
 class Sensor(Enum):
@@ -54,7 +51,6 @@ class SourceMonitor:
         self._values: tuple[float, ...] = ()
         self._last_new = -math.inf  # s, arrival of the last new measurement,
         self._last_change = -math.inf  # ... and of the last with other values
-        self._arrivals: deque[tuple[float, float]] = deque()  # and stamps, s
         self._steps_back: deque[float] = deque(maxlen=MIN_STEPS_BACK)  # arrivals, s
 
     def add(self, stamp: int, values: tuple[float, ...], arrival: float) -> bool:
@@ -63,9 +59,6 @@ class SourceMonitor:
         Return whether it holds a new measurement.
         """
         self.n_messages += 1
-        self._arrivals.append((arrival, stamp * 1e-9))
-        while self._arrivals[0][0] < arrival - CLOCK_WINDOW:
-            self._arrivals.popleft()
         advance = math.inf if self._stamp is None else (stamp - self._stamp) * 1e-9
         if not all(map(math.isfinite, values)) or -MAX_STEP_BACK <= advance <= 0.0:
             return False
@@ -83,16 +76,11 @@ class SourceMonitor:
     def has_two_clocks(self, now: float) -> bool:
         """Return True if the stamps jump to and fro, as from two publishers."""
         steps = self._steps_back
-        return len(steps) == MIN_STEPS_BACK and steps[0] > now - CLOCK_WINDOW
+        return len(steps) == MIN_STEPS_BACK and steps[0] > now - STEP_WINDOW
 
     def unchanged(self, now: float) -> float:
         """Return the time since the last measurement with other values, s."""
         return now - self._last_change
-
-    def clock(self, now: float) -> float:
-        """Return the median of stamp less arrival, s; NaN without recent messages."""
-        offsets = [stamp - t for t, stamp in self._arrivals if t > now - CLOCK_WINDOW]
-        return median(offsets) if offsets else math.nan
 
 
 class Interlocks:

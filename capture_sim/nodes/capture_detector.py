@@ -7,14 +7,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import partial
-from statistics import median
 from typing import Any
 
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.detection.detector import CaptureDetector
 from capture_sim.detection.measurements import REORDER, Source
 from capture_sim.errors import SceneError
-from capture_sim.launch.interlocks import SourceMonitor
 from capture_sim.messages.convert import EPOCH_NS, rejected
 from capture_sim.messages.measurements import OF_A_BENCH, DetectorInput, MeasurementReader
 from capture_sim.messages.telemetry import DetectorTelemetry
@@ -35,7 +33,7 @@ from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError, declare_scene
 from capture_sim.nodes.process import run
 from capture_sim.nodes.roll import RunReport
-from capture_sim.nodes.sources import PERIOD, SourceDiagnostics
+from capture_sim.nodes.sources import SourceDiagnostics
 from capture_sim.scene.parts import Detector
 
 #: Topics that are read of a simulator or a bench.
@@ -74,11 +72,9 @@ class CaptureDetectorNode(BenchNode):
         self._by_source: dict[Source, list[Topic]] = {}
         for topic, source in OF_A_BENCH.items():
             self._by_source.setdefault(source, []).append(topic)
-        self._diagnostics = SourceDiagnostics(self)
+        self._sources = SourceDiagnostics(self)
         for topics in self._by_source.values():
-            self._diagnostics.watch(*topics)
-        self.every(PERIOD, self._compare_clocks)
-        self._monitors = {topic: SourceMonitor() for topic in OF_A_BENCH}
+            self._sources.watch(*topics)
         for topic in self._readers:
             take, watch = (partial(f, topic) for f in (self._receive_measurement, self._diagnose))
             self._follower.follow(topic, take, raw=True, watch=watch)
@@ -132,11 +128,10 @@ class CaptureDetectorNode(BenchNode):
 
     def _unseen(self) -> list[list[Topic]]:
         """Return the topics of each source that is needed and has sent nothing lately."""
-        now = time.monotonic()
         return [
             topics
             for source, topics in self._by_source.items()
-            if all(self._monitors[topic].age(now) > PERIOD for topic in topics)
+            if not any(map(self._sources.is_fresh, topics))
             and (source is not Source.BUFFER or any(map(self.nodes_that_publish, topics)))
         ]
 
@@ -183,22 +178,10 @@ class CaptureDetectorNode(BenchNode):
         return {name: value for name, value in values.items() if not math.isnan(value)}
 
     def _diagnose(self, topic: Topic, data: bytes) -> None:
-        """Note a measurement of a bench; the diagnostics report its age and its clock."""
+        """Report a measurement of a bench to the diagnostics, without its rates."""
         stamp, values = self._readers[topic](data)
-        now = time.monotonic()
         count = 2 if OF_A_BENCH[topic] is Source.BUFFER else 3
-        if self._monitors[topic].add(stamp, values[:count], now):
-            self._diagnostics.note(topic)
-
-    def _compare_clocks(self) -> None:
-        """Let the diagnostics report how much each clock differs from the middle one."""
-        now = time.monotonic()
-        clocks = {topic: monitor.clock(now) for topic, monitor in self._monitors.items()}
-        known = {topic: clock for topic, clock in clocks.items() if math.isfinite(clock)}
-        middle = median(known.values()) if known else math.nan
-        self._diagnostics.extras = {
-            topic: {"clock offset [s]": f"{clock - middle:.4f}"} for topic, clock in known.items()
-        }
+        self._sources.add(topic, stamp, values[:count])
 
     def _receive_measurement(self, topic: Topic, data: bytes) -> None:
         measurement = self._input.read(topic, data)

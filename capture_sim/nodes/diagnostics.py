@@ -1,16 +1,18 @@
-"""The simulator's pace, lateness and integrator statistics, on the topic diagnostics."""
+"""The topic diagnostics, and what the simulator reports there: pace, lateness, integrator."""
 
 from __future__ import annotations
 
-from typing import Any
-
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
+import time
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import TYPE_CHECKING, NamedTuple
 
 from capture_sim.control.simulation import SimulationControl, State
 from capture_sim.nodes.endpoints import message_class
 from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.stepping import Stepping
+
+if TYPE_CHECKING:  # it needs Numba, which other nodes do without
+    from capture_sim.nodes.stepping import Stepping
 
 #: Published this often, s (wall).
 PERIOD = 1.0
@@ -20,20 +22,60 @@ _LOG_EVERY = 5
 _SLACK = 0.01
 
 
-class SimulatorDiagnostics:
-    """Publishes pace, lateness, integrator statistics and energy residual of a run.
+class Level(IntEnum):
+    """Levels of DiagnosticStatus.msg."""
 
-    Stamped with the wall's time, as diagnostics are: they are about the process.
-    """
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+class Status(NamedTuple):
+    """The state of one part of a node."""
+
+    name: str
+    level: Level
+    message: str
+    values: Mapping[str, object]
+
+
+class Diagnostics:
+    """Publishes a node's statuses, stamped with the wall's time: they are about the process."""
+
+    def __init__(self, node: BenchNode) -> None:
+        self._node = node
+        self._array, self._status, self._value = (
+            message_class(f"diagnostic_msgs/msg/{name}")
+            for name in ("DiagnosticArray", "DiagnosticStatus", "KeyValue")
+        )
+        self._publisher = node.create_publisher(self._array, "diagnostics", 10)
+
+    def publish(self, *statuses: Status) -> None:
+        """Publish these statuses."""
+        message = self._array(
+            status=[
+                self._status(
+                    level=bytes([status.level]),
+                    name=f"{self._node.get_name()}: {status.name}",
+                    message=status.message,
+                    hardware_id="capture_sim",
+                    values=[self._value(key=k, value=str(v)) for k, v in status.values.items()],
+                )
+                for status in statuses
+            ]
+        )
+        stamp = message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
+        self._publisher.publish(message)
+
+
+class SimulatorDiagnostics:
+    """Publishes pace, lateness, integrator statistics and energy residual of a run."""
 
     def __init__(self, node: BenchNode, control: SimulationControl) -> None:
         self._node = node
         self._control = control
-        self._array = message_class("diagnostic_msgs/msg/DiagnosticArray")
-        self._status = message_class("diagnostic_msgs/msg/DiagnosticStatus")
-        self._value = message_class("diagnostic_msgs/msg/KeyValue")
-        self._publisher = node.create_publisher(self._array, "diagnostics", 10)
-        self._wall = Clock(clock_type=ClockType.SYSTEM_TIME)
+        self._diagnostics = Diagnostics(node)
         self._run: Stepping | None = None
         self._on = False
         self._ticks = 0
@@ -61,43 +103,33 @@ class SimulatorDiagnostics:
             self._node.get_logger().info(text)
 
     def _publish(self, *, whole: bool) -> None:
-        values: dict[str, object] = {"state": self._control.state.name.lower()}
-        level, text = self._status.OK, values["state"]
+        state = self._control.state.name.lower()
+        level, text, values = Level.OK, state, {"state": state}
         if self._run is not None:
-            level, text = self._judge(self._run, values, whole=whole)
-        status = self._status(
-            level=level,
-            name=f"{self._node.get_name()}: stepping",
-            message=str(text),
-            hardware_id="capture_sim",
-            values=[self._value(key=key, value=str(value)) for key, value in values.items()],
-        )
-        message = self._array(status=[status])
-        message.header.stamp = self._wall.now().to_msg()
-        self._publisher.publish(message)
+            level, text, figures = self._figures(self._run, whole=whole)
+            values |= figures
+        self._diagnostics.publish(Status("stepping", level, text, values))
 
-    def _judge(
-        self, stepping: Stepping, values: dict[str, object], *, whole: bool
-    ) -> tuple[Any, str]:
+    def _figures(self, stepping: Stepping, *, whole: bool) -> tuple[Level, str, dict[str, str]]:
         scene, statistics = stepping.bench.scene, stepping.bench.statistics
         pacer = self._control.pacer
         factor, achieved = pacer.factor, pacer.achieved
         fresh, self._ticks = pacer.ticks - self._ticks, pacer.ticks
         lateness = pacer.lateness(None if whole else fresh) if fresh or whole else None
         period = 1.0 / (scene.run.state_rate * factor) if factor > 0.0 else 0.0
-        values |= {
+        values = {
             "experiment": scene.name,
             "figures of": "the whole run" if whole else f"the last {PERIOD:g} s",
             "simulated time [s]": f"{stepping.t:.6f}",
-            "samples sent": stepping.count,
+            "samples sent": f"{stepping.count}",
             "real-time factor requested": f"{factor:g}",
             "real-time factor achieved": f"{achieved:.6f}",
-            "ticks": pacer.ticks,
-            "late ticks (more than a period)": pacer.late_ticks(period) if whole else "",
+            "ticks": f"{pacer.ticks}",
+            "late ticks (more than a period)": f"{pacer.late_ticks(period)}" if whole else "",
             "skipped [s]": f"{pacer.skipped_delay:.6f}",
-            "integrator steps": statistics.steps,
-            "integrator steps rejected": statistics.rejected,
-            "evaluations": statistics.evaluations,
+            "integrator steps": f"{statistics.steps}",
+            "integrator steps rejected": f"{statistics.rejected}",
+            "evaluations": f"{statistics.evaluations}",
             "energy residual [J]": f"{stepping.residual:.3e}",
         }
         if lateness is not None:
@@ -105,5 +137,6 @@ class SimulatorDiagnostics:
                 values[f"tick lateness {key} [us]"] = f"{1e6 * late:.1f}"
         settled = factor > 0.0 and pacer.wall > PERIOD and not whole
         if settled and abs(achieved / factor - 1.0) > _SLACK:
-            return self._status.WARN, f"real-time factor {achieved:.3f}, requested {factor:g}"
-        return self._status.OK, f"{scene.name}: {stepping.figures}"
+            text = f"real-time factor {achieved:.3f}, requested {factor:g}"
+            return Level.WARN, text, values
+        return Level.OK, f"{scene.name}: {stepping.figures}", values

@@ -220,7 +220,7 @@ class RecorderNode(BenchNode):
         return response
 
     def _record(self, topic: Topic, data: bytes) -> None:
-        self._sources.note(topic)
+        self._sources.add(topic)
         if topic.transient_local and not topic.publishers:
             self._kept[topic] = data
         if self._recorder is None or self.run is None:
