@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
@@ -37,7 +38,7 @@ from tests.plate import (
 SERVOS = {"100 Hz": 100.0, "10 Hz": 10.0}
 WALLS = (("soft", 0.2), ("hard", 0.02))  # duration of an elastic touch, s
 DELAYS = (0.0005, 0.002, 0.005, 0.02)  # s, of the servo
-LIMITS = WIDE._replace(energy=1.0, force=2000.0, latency=0.1)
+LIMITS = replace(WIDE, energy=1.0, force=2000.0, latency=0.1)
 
 
 def touch(method, duration, true, servo, offset=2e-5, seed=0):
@@ -187,7 +188,7 @@ def conditions(_, __):
                 SCENE, law, servo, Cell(force_range=5000.0), Transport(), seed=2 * n + k
             ),
             t_end,
-            LIMITS._replace(force=5000.0),
+            replace(LIMITS, force=5000.0),
         )
         errors = [
             math.inf if why else abs(vehicles_restitution(loop.stage) / expected - 1.0)

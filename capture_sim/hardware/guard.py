@@ -11,10 +11,11 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from capture_sim.hardware.law import NO_LAW, NO_WRENCH, Penetration, TipState, WallLaw, Wrench
 from capture_sim.hardware.stage import LoopStage, SafeStopError, StageState
+from capture_sim.scene.quantities import Range, quantity
 
 #: States of the stage before its latest steps.
 HISTORY = 128
@@ -31,31 +32,31 @@ _LEAST_STIFFNESS = 500.0
 _LEAST_SHARE = 0.05
 
 
-class Limits(NamedTuple):
-    """What stops the loop; :data:`LIMITS` describes all but the latency."""
+@dataclass(frozen=True)
+class Limits:
+    """What stops the loop."""
 
-    energy: float = 0.02
-    force: float = 300.0
-    torque: float = 30.0
-    speed: float = 0.5
-    acceleration: float = 100.0
-    latency: float = 0.05  # s, from a position to the use of its wrench
-    angular_speed: float = 3.0
-    bias: float = 10.0
-    depth: float = 1e-3
-
-
-#: By field of :class:`Limits`: what it bounds, with its unit, and its largest value.
-LIMITS = {
-    "energy": ("energy that the loop may add to the vehicles, J", 1e6),
-    "force": ("force on the rig, N", 1e9),
-    "torque": ("torque on the rig, N m", 1e9),
-    "speed": ("speed of the commanded position, m/s", 1e3),
-    "acceleration": ("acceleration of the commanded position, m/s^2", 1e6),
-    "angular_speed": ("angular speed of the commanded position, rad/s", 1e3),
-    "bias": ("bias of the load cell at rest, N", 1e9),
-    "depth": ("depth of the tip in the scene's wall without force, m", 1e3),
-}
+    energy: float = quantity(
+        "J", Range(0.0, 1e6), default=0.02, doc="energy that the loop may add to the vehicles"
+    )
+    force: float = quantity("N", Range(0.0, 1e9), default=300.0, doc="force on the rig")
+    torque: float = quantity("N m", Range(0.0, 1e9), default=30.0, doc="torque on the rig")
+    speed: float = quantity(
+        "m/s", Range(0.0, 1e3), default=0.5, doc="speed of the commanded position"
+    )
+    acceleration: float = quantity(
+        "m/s^2", Range(0.0, 1e6), default=100.0, doc="acceleration of the commanded position"
+    )
+    latency: float = quantity(
+        "s", Range(0.001, 10.0), default=0.05, doc="time from a position to the use of its wrench"
+    )
+    angular_speed: float = quantity(
+        "rad/s", Range(0.0, 1e3), default=3.0, doc="angular speed of the commanded position"
+    )
+    bias: float = quantity("N", Range(0.0, 1e9), default=10.0, doc="bias of the load cell at rest")
+    depth: float = quantity(
+        "m", Range(0.0, 1e3), default=1e-3, doc="depth of the tip in the scene's wall without force"
+    )
 
 
 def _check(name: str, value: float, unit: str, limit: float, hint: str = "") -> None:

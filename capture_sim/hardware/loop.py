@@ -64,7 +64,7 @@ class Loop:
         stage: LoopStage,
         method: str = "none",
         law: WallLaw = NO_LAW,
-        limits: Limits = Limits(),  # noqa: B008 - a tuple
+        limits: Limits = Limits(),  # noqa: B008 - frozen
         threshold: float = 0.0,
         run_up: float = 0.2,
     ) -> None:

@@ -11,18 +11,24 @@ import numpy as np
 from capture_sim.hardware.answers import Answer
 from capture_sim.hardware.law import NO_WRENCH, TipState, WallLaw, Walls, Wrench
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import Range, quantity
 
 #: The servo is integrated in steps of at most this, s.
 _SERVO_STEP = 1e-4
+_SHARE = Range(0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class Servo:
     """What moves the tip: x'' = w^2 (u(t - delay) - x) - 2 zeta w x', with w = 2 pi bandwidth."""
 
-    bandwidth: float = 10.0  # Hz; 0 for a tip that is where it is commanded
-    delay: float = 0.010  # s
-    acceleration: float = 50.0  # m/s^2, at which the drive saturates
+    bandwidth: float = quantity(
+        "Hz", Range(0.0, 1e4), default=10.0, doc="bandwidth; 0: the tip is where it is commanded"
+    )
+    delay: float = quantity("s", Range(0.0, 1.0), default=0.010, doc="delay of the servo")
+    acceleration: float = quantity(
+        "m/s^2", Range(0.0, 1e6), default=50.0, doc="saturation of the servo"
+    )
     damping_ratio: float = 0.7  # zeta
 
     @property
@@ -37,25 +43,34 @@ class Servo:
 class Cell:
     """The load cell."""
 
-    cutoff: float = 0.0  # Hz, of a low-pass of first order; 0 for none
-    # noise, torque_noise: N and N m, standard deviation of each component
-    noise: float = 0.1
-    torque_noise: float = 0.005
-    bias: float = 0.5  # N, on each component of the force
-    resolution: float = 0.006  # N and N m
-    force_range: float = 1000.0  # N; beyond it the cell saturates
+    cutoff: float = quantity(
+        "Hz", Range(0.0, 1e6), default=0.0, doc="cutoff of the cell's low-pass; 0: none"
+    )
+    noise: float = quantity(
+        "N", Range(0.0, 1e6), default=0.1, doc="standard deviation of a force component"
+    )
+    torque_noise: float = quantity(
+        "N m", Range(0.0, 1e6), default=0.005, doc="standard deviation of a torque component"
+    )
+    bias: float = quantity("N", Range(0.0, 1e6), default=0.5, doc="bias of each force component")
+    resolution: float = quantity(
+        "N and N m", Range(0.0, 1e6), default=0.006, doc="resolution; 0: not quantised"
+    )
+    force_range: float = quantity(
+        "N", Range(0.0, 1e9), default=1000.0, doc="saturation of each force component"
+    )
 
 
 @dataclass(frozen=True)
 class Transport:
     """The way to the loop and back."""
 
-    # delay, jitter: s; the jitter is the standard deviation of what is added
-    delay: float = 0.001
-    jitter: float = 0.0003
-    # drops, doubles: share of the answers that are lost, and that come twice
-    drops: float = 0.001
-    doubles: float = 0.001
+    delay: float = quantity("s", Range(0.0, 10.0), default=0.001, doc="round-trip delay")
+    jitter: float = quantity(
+        "s", Range(0.0, 1.0), default=0.0003, doc="scale of the random (half-normal) delay added"
+    )
+    drops: float = quantity("1", _SHARE, default=0.001, doc="share of wrenches that are lost")
+    doubles: float = quantity("1", _SHARE, default=0.001, doc="share of wrenches that come twice")
 
 
 IDEAL = (Servo(0.0, 0.0), Cell(0.0, 0.0, 0.0, 0.0, 0.0), Transport(0.0, 0.0, 0.0, 0.0))

@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
+from capture_sim.scene.quantities import Range, quantity
+
 #: A stamp that is older than the one before by more is that of a clock that was set back, s.
 MAX_STEP_BACK = 0.5
 #: So many of these within so many s are the stamps of two publishers.
@@ -27,15 +29,50 @@ class Sensor(Enum):
 
 @dataclass(frozen=True)
 class TrialLimits:
-    """Limits of a trial; each is a parameter of the launcher with the same name."""
+    """Limits of a trial; each is a parameter of the launcher."""
 
-    max_pose_age: float = 0.3  # s, without a new pose of a vehicle
-    max_buffer_age: float = 0.3  # s, without a new buffer state before the release; 0: none needed
-    max_hold_silence: float = 0.4  # s, without launcher/hold; drivers hold after 0.5
-    start_timeout: float = 10.0  # s, to wait for fresh measurements and other nodes
-    time_limit: float = 60.0  # s, from the release to the end of the trial
-    after_verdict: float = 1.0  # s, to go on after the verdict
-    closing_timeout: float = 10.0  # s, to wait for verdict and recording after the end
+    max_pose_age: float = quantity(
+        "s",
+        Range(0.02, 10.0),
+        default=0.3,
+        doc="time without a new pose of a vehicle: nothing is released, an approach is aborted",
+    )
+    max_buffer_age: float = quantity(
+        "s",
+        Range(0.0, 10.0),
+        default=0.3,
+        doc="time without a new buffer state: nothing is released; 0.0: no buffer is needed",
+    )
+    max_hold_silence: float = quantity(  # drivers hold after 0.5 s
+        "s",
+        Range(0.15, 10.0),
+        default=0.4,
+        doc="wall time without launcher/hold, as of a stalled computer: an approach is aborted",
+    )
+    start_timeout: float = quantity(
+        "s",
+        Range(0.0, 3600.0),
+        default=10.0,
+        doc="wall time, wait for fresh measurements and for the other nodes before a release",
+    )
+    time_limit: float = quantity(
+        "s",
+        Range(1.0, 86400.0),
+        default=60.0,
+        doc="wall time from the release to the end of a trial without verdict",
+    )
+    after_verdict: float = quantity(
+        "s",
+        Range(0.0, 3600.0),
+        default=1.0,
+        doc="wall time from the verdict to the end of the trial",
+    )
+    closing_timeout: float = quantity(
+        "s",
+        Range(0.1, 600.0),
+        default=10.0,
+        doc="wall time, wait for verdict and recording after the end of a trial",
+    )
 
 
 class SourceMonitor:

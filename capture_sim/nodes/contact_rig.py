@@ -15,9 +15,9 @@ from capture_sim.hardware.messages import (
     tip_of,
     wrench_message,
 )
-from capture_sim.hardware.rig import Cell, Rig, Servo, Transport
-from capture_sim.launch.scenes import load_scene
+from capture_sim.hardware.rig import IDEAL, Cell, Rig, Servo, Transport
 from capture_sim.nodes.node import BenchNode
+from capture_sim.nodes.parameters import declare_scene
 from capture_sim.nodes.process import run
 from capture_sim.nodes.start import OK
 
@@ -31,10 +31,7 @@ class ContactRigNode(BenchNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(CONTACT_RIG, **options)
-        name = self.declare("scene", "_loop", "scene with the cone: name in config/scenes, or file")
-        overrides = self.declare(
-            "overrides", list, "changes of the scene (SI), e.g. cone.half_angle=0.8"
-        )
+        scene = declare_scene(self, "scene with the cone", "_loop")
         number = partial(self.declare, low=0.0)
         ideal = self.declare("ideal", False, "true: no servo, noise, bias or delays")
         stiffness = number("stiffness", 2000.0, "stiffness of the walls, N/m^exponent", high=1e12)
@@ -48,45 +45,16 @@ class ContactRigNode(BenchNode):
         friction = number("friction", 0.0, "friction coefficient of the walls", high=10.0)
         law = WallLaw(stiffness, exponent, stiffness * damping, offset, friction)
 
-        def figure(name: str, standard: float, description: str, high: float = 1e6) -> Any:
-            return number(name, 0.0 if ideal else standard, description, high=high)
-
-        servo = Servo(
-            figure("servo_bandwidth", Servo.bandwidth, "bandwidth, Hz; 0: no servo", 1e4),
-            figure("servo_delay", Servo.delay, "delay of the servo, s", 1.0),
-            number(
-                "servo_acceleration", Servo.acceleration, "saturation of the servo, m/s^2", high=1e6
-            ),
-        )
-        cell = Cell(
-            figure("cell_cutoff", Cell.cutoff, "cutoff of the cell's low-pass, Hz; 0: none"),
-            figure("cell_noise", Cell.noise, "standard deviation of a force component, N"),
-            figure(
-                "cell_torque_noise",
-                Cell.torque_noise,
-                "standard deviation of a torque component, N m",
-            ),
-            figure("cell_bias", Cell.bias, "bias of each force component, N"),
-            figure("cell_resolution", Cell.resolution, "resolution, N and N m; 0: not quantised"),
-            number(
-                "cell_range", Cell.force_range, "saturation of each force component, N", high=1e9
-            ),
-        )
-        transport = Transport(
-            figure("transport_delay", Transport.delay, "round-trip delay, s", 10.0),
-            figure(
-                "transport_jitter",
-                Transport.jitter,
-                "scale of the random (half-normal) delay added to it, s",
-                1.0,
-            ),
-            figure("drops", Transport.drops, "share of wrenches that are lost", 1.0),
-            figure("doubles", Transport.doubles, "share of wrenches that are sent twice", 1.0),
+        servo, cell, transport = IDEAL if ideal else (Servo(), Cell(), Transport())
+        servo = self.declare_fields(servo, "servo_{}".format)
+        cell = self.declare_fields(cell, lambda name: f"cell_{name.removeprefix('force_')}")
+        transport = self.declare_fields(
+            transport, lambda name: name if name in ("drops", "doubles") else f"transport_{name}"
         )
         hidden_lag = number("hidden_lag", 0.0, "age of the force at its stamp, s", high=1.0)
         sends_tip = self.declare("sends_tip", True, "send loop/rig_tip")
         seed = self.declare("seed", 0, "seed of noise and transport", low=0, high=2**31 - 1)
-        scene = load_scene(name, overrides)
+        assert scene is not None
         self._rig = Rig(scene, law, servo, cell, transport, hidden_lag, sends_tip, seed)
         self.open((TIP_WRENCH, RIG_TIP))
         self.listen(TIP, self._answer)

@@ -17,31 +17,8 @@ from capture_sim.nodes.process import run
 from capture_sim.nodes.simulated_launch import SimulatedLaunch
 from capture_sim.nodes.trial_server import TrialServer, TrialSettings
 
-#: Parameters of the limits of a trial: description, smallest and largest value.
-_LIMITS = {
-    "max_pose_age": (
-        "s without a new pose of a vehicle: nothing is released, an approach is aborted",
-        (0.02, 10.0),
-    ),
-    "max_buffer_age": (
-        "s without a new buffer state: nothing is released; 0.0: no buffer is needed",
-        (0.0, 10.0),
-    ),
-    "max_hold_silence": (
-        "s (wall) without launcher/hold, as of a stalled computer: an approach is aborted",
-        (0.15, 10.0),
-    ),
-    "start_timeout": (
-        "s (wall), wait for fresh measurements and for the other nodes before a release",
-        (0.0, 3600.0),
-    ),
-    "time_limit": (
-        "s (wall), from the release to the end of a trial without verdict",
-        (1.0, 86400.0),
-    ),
-    "after_verdict": ("s (wall), time from the verdict to the end of the trial", (0.0, 3600.0)),
-    "closing_timeout": ("s (wall), wait for the recording after a trial", (0.1, 600.0)),
-}
+#: Parameters of :class:`LaunchSettings`, by field.
+SETTINGS = {"tolerance": "speed_tolerance", "aborts": "abort_on_deviation"}
 
 
 class LauncherNode(BenchNode):
@@ -55,23 +32,7 @@ class LauncherNode(BenchNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(LAUNCHER, **options)
-        self._launch = LaunchSettings(
-            tolerance=self.declare(
-                "speed_tolerance",
-                0.2,
-                "share of the planned impact speed by which the chaser's speed may deviate, 1",
-                low=0.01,
-                high=10.0,
-                read_only=False,
-            ),
-            aborts=self.declare(
-                "abort_on_deviation",
-                True,
-                "abort a launch that differs from its plan: speed beyond speed_tolerance by 5 "
-                "standard deviations, or contact too late; false only warns",
-                read_only=False,
-            ),
-        )
+        self._launch = self.declare_fields(LaunchSettings(), SETTINGS.__getitem__, read_only=False)
         actuator = self.declare(
             "actuator",
             "simulated",
@@ -88,14 +49,7 @@ class LauncherNode(BenchNode):
         folder = self.declare(
             "scene_folder", "", "folder of scenes that a goal may name besides the packaged ones"
         )
-        limits = TrialLimits(
-            **{
-                name: self.declare(
-                    name, getattr(TrialLimits, name), description, low=span[0], high=span[1]
-                )
-                for name, (description, span) in _LIMITS.items()
-            }
-        )
+        limits = self.declare_fields(TrialLimits())
         needs_client = self.declare(
             "require_client",
             True,
@@ -123,13 +77,11 @@ class LauncherNode(BenchNode):
         return self._part.work()
 
     def _parameters_set(self, parameters: list[Parameter]) -> None:
-        for parameter in parameters:
-            if parameter.name == "speed_tolerance":
-                self._launch.tolerance = parameter.value
-            elif parameter.name == "abort_on_deviation":
-                self._launch.aborts = parameter.value
-            elif parameter.name == "auto_release" and isinstance(self._part, SimulatedLaunch):
-                self._part.set_auto_release(parameter.value)
+        values = {parameter.name: parameter.value for parameter in parameters}
+        for field, name in SETTINGS.items():
+            setattr(self._launch, field, values.get(name, getattr(self._launch, field)))
+        if "auto_release" in values and isinstance(self._part, SimulatedLaunch):
+            self._part.set_auto_release(values["auto_release"])
         self._part.settings_changed()
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from capture_sim.errors import CaptureSimError, MessageError, RecordingError
 from capture_sim.files import why_no_file, why_not_writable
-from capture_sim.hardware.guard import LIMITS, Limits
+from capture_sim.hardware.guard import Limits
 from capture_sim.hardware.law import TipState, WallLaw, Wrench
 from capture_sim.hardware.loop import MAX_START_DISTANCE, METHODS, N_AT_REST, Loop
 from capture_sim.hardware.messages import (
@@ -33,11 +33,10 @@ from capture_sim.hardware.pacing import Pacer, request_priority
 from capture_sim.hardware.record import LoopRecord
 from capture_sim.hardware.report import Timing, report_of, summary
 from capture_sim.hardware.stage import LoopStage, SafeStopError
-from capture_sim.launch.scenes import load_scene
 from capture_sim.messages.topics import Topic
 from capture_sim.nodes.endpoints import message_class
 from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.parameters import ParameterError
+from capture_sim.nodes.parameters import ParameterError, declare_scene
 from capture_sim.nodes.process import run
 from capture_sim.nodes.start import FAILED, OK
 from capture_sim.recording.offline import write_run
@@ -61,22 +60,16 @@ class LoopSimulatorNode(BenchNode):
     def __init__(self, **options: Any) -> None:
         super().__init__(LOOP_SIMULATOR, **options)
         number = partial(self.declare, low=0.0)
-        name = self.declare("scene", "_loop", "scene: name in config/scenes, or file")
-        overrides = self.declare("overrides", list, "changes of the scene (SI), e.g. buffer.c_A=13")
+        scene = declare_scene(self, "scene of the vehicles", "_loop")
+        assert scene is not None
         rate = self.declare(
             "rate", 1000.0, "rate of steps and messages, Hz", low=10.0, high=10000.0
         )
         self._rtf = self.declare(
             "rtf", 1.0, "real-time factor: simulated seconds per second", low=0.001, high=1.0
         )
-        limits = Limits(
-            latency=self.declare(
-                "timeout", Limits().latency, "latency of the wrench in use, s", low=0.001, high=10.0
-            ),
-            **{
-                name: number(f"{name}_limit", getattr(Limits(), name), text, high=largest)
-                for name, (text, largest) in LIMITS.items()
-            },
+        limits = self.declare_fields(
+            Limits(), lambda name: "timeout" if name == "latency" else f"{name}_limit"
         )
         self._max_lateness = self.declare(
             "lateness_limit", 0.05, "lateness of a step, s (wall)", low=0.0001, high=10.0
@@ -122,7 +115,6 @@ class LoopSimulatorNode(BenchNode):
                 f"parameter report = '{report}': must be a file that can be written: {reason}"
             )
         self._record_path = self._checked_record()
-        scene = load_scene(name, overrides)
         self._t_end = scene.run.t_end
         law = WallLaw(stiffness or scene.contact_stiffness, exponent, damping, offset, friction)
         if method != "model" and not stiffness:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -20,6 +21,7 @@ from rclpy.parameter import Parameter
 from capture_sim.errors import CaptureSimError
 from capture_sim.launch.scenes import load_scene
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import declared
 
 #: Parameters that every ROS 2 node has, or that files for several nodes may carry.
 _COMMON = ("use_sim_time", "start_type_description_service", "qos_overrides")
@@ -110,6 +112,26 @@ class ParameterNode(Node):
             self._checks[name] = kind, check
         return [] if unset and kind is list else value
 
+    def declare_fields(
+        self, defaults: Any, name_of: Callable[[str], str] = str, *, read_only: bool = True
+    ) -> Any:
+        """Declare a parameter for each quantity of a dataclass; return it with their values.
+
+        ``name_of`` returns a parameter's name from that of its field.
+        """
+        values = {}
+        for field in declared(type(defaults)).values():
+            if field.allowed is not None:
+                bounds: dict[str, Any] = {"low": field.allowed.low, "high": field.allowed.high}
+                values[field.name] = self.declare(
+                    name_of(field.name),
+                    getattr(defaults, field.name),
+                    ", ".join(filter(None, (field.doc, field.unit))),
+                    **({} if field.kind is bool else bounds),
+                    read_only=read_only,
+                )
+        return replace(defaults, **values)
+
     def warn_of_unknown_parameters(self) -> None:
         """Warn of parameters that were given and never declared: mistyped, most likely."""
         declared = self.list_parameters([], 0).names
@@ -129,13 +151,13 @@ class ParameterNode(Node):
         return SetParametersResult(successful=True)
 
 
-def declare_scene(node: ParameterNode, description: str) -> Scene | None:
-    """Declare ``scene`` and ``overrides`` of a bench; return the scene if one is given."""
-    name = node.declare("scene", "", f"{description}; name in config/scenes, or file")
+def declare_scene(node: ParameterNode, description: str, default: str = "") -> Scene | None:
+    """Declare ``scene`` and ``overrides`` of a bench; return the scene if there is one."""
+    name = node.declare("scene", default, f"{description}; name in config/scenes, or file")
     overrides = node.declare("overrides", list, "changes of that scene (SI)")
-    if overrides and not name:
+    if overrides and not name and not default:
         raise ParameterError(f"parameter overrides = {overrides!r}: must be empty without a scene")
-    return load_scene(name, overrides) if name else None
+    return load_scene(name, overrides) if name or default else None
 
 
 def _is_unset(value: object, kind: type) -> bool:

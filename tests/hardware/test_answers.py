@@ -16,7 +16,7 @@ from capture_sim.messages.convert import CONE_FRAME, Messages
 from capture_sim.messages.definitions import typestore
 
 
-def at_rest(limits=Limits(), rest=(NO_WRENCH,) * 100):  # noqa: B008 - a tuple
+def at_rest(limits=Limits(), rest=(NO_WRENCH,) * 100):  # noqa: B008 - frozen
     answers = Answers(Guard(LoopStage(load_scene("_loop")), limits))
     for wrench in rest:
         answers.offer(0.0, 0.0, wrench, None)

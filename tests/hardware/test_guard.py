@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import math
+from dataclasses import replace
 
 import pytest
 from plate import MASS, SCENE, WIDE, close, ideal_rig, plate_law
@@ -51,7 +52,7 @@ def test_no_position_is_sent_beyond_the_acceleration_limit(method, delay):
     stops = []
     for limit in (0.5, 2.0, 5.0, 1e6):
         rig = Recorded(ideal_rig(SCENE, WALL, delay))
-        limits = WIDE._replace(acceleration=limit)
+        limits = replace(WIDE, acceleration=limit)
         _, why = close(SCENE, rig, method, WALL, limits, t_end=0.4)
         assert largest_acceleration(rig.poses) <= limit * (1.0 + 1e-6)
         stops.append("commanded acceleration = " in why)
@@ -138,7 +139,7 @@ def test_a_cell_in_kilonewtons_or_of_the_wrong_sign_is_noticed(factor, method):
     rig = Recorded(
         ideal_rig(SCENE, wall, 0.001), lambda t, wrench: [factor * value for value in wrench]
     )
-    limits = WIDE._replace(depth=2e-4)
+    limits = replace(WIDE, depth=2e-4)
     _, why = close(SCENE, rig, method, wall, limits, t_end=0.5)
     assert "must be <= 0.0002 (depth_limit); load cell, its sign or the wall's position" in why
     assert rig.peak < 300.0
@@ -160,7 +161,7 @@ def test_a_wall_that_is_felt_is_no_fault(sends_tip):
 
 def test_a_stop_in_the_first_loaded_step_reports_what_was_added():
     """A spike that would give far more than the limit at once."""
-    guard = Guard(LoopStage(SCENE), WIDE._replace(energy=1e-3))
+    guard = Guard(LoopStage(SCENE), replace(WIDE, energy=1e-3))
     guard.note_free_motion()
     with pytest.raises(SafeStopError, match=r"after 0\.000\d+ J added: must be <= 0\.001"):
         guard.take_guarded_step(Wrench(700.0))
@@ -172,7 +173,7 @@ def test_a_stop_in_the_first_loaded_step_reports_what_was_added():
 @pytest.mark.parametrize("is_correction", [False, True])
 def test_a_wrench_is_scaled_to_the_energy_that_is_left(push, is_correction):
     stage = LoopStage(SCENE)
-    guard = Guard(stage, WIDE._replace(energy=0.02))
+    guard = Guard(stage, replace(WIDE, energy=0.02))
     guard.note_free_motion()
     with contextlib.suppress(SafeStopError):
         guard.take_guarded_step(Wrench(push), is_correction=is_correction)

@@ -169,7 +169,7 @@ def test_a_rig_that_is_not_reached_is_reported_and_the_law_softened():
 
 def test_a_wall_much_nearer_than_thought_stops_at_the_force_limit():
     law = plate_law(MASS, 0.02, offset=5e-3)
-    limits = WIDE._replace(force=300.0)
+    limits = replace(WIDE, force=300.0)
     guess = WallLaw(law.stiffness)
     loop, why = close(SCENE, Rig(SCENE, law, FAST), "model", guess, limits, 0.4)
     assert "force on the rig = " in why
@@ -215,12 +215,12 @@ def test_a_run_that_ends_before_the_fit_says_what_is_not_known(t_end, text):
 def test_the_commanded_motion_is_limited():
     law = plate_law(MASS, 0.05)
     for limits, text in (
-        (WIDE._replace(speed=0.05), r"commanded speed = 0.05\d* m/s: must be <= 0.05"),
+        (replace(WIDE, speed=0.05), r"commanded speed = 0.05\d* m/s: must be <= 0.05"),
         (
-            WIDE._replace(angular_speed=1e-4),
+            replace(WIDE, angular_speed=1e-4),
             r"commanded angular speed = \S+ rad/s: must be <= 0.0001",
         ),
-        (WIDE._replace(acceleration=1.0), r"commanded acceleration = \S+ m/s\^2: must be <= 1"),
+        (replace(WIDE, acceleration=1.0), r"commanded acceleration = \S+ m/s\^2: must be <= 1"),
     ):
         _, why = close(SCENE, ideal_rig(SCENE, law, 0.002), "none", limits=limits, t_end=0.5)
         assert why.startswith("stopped at t = ")
@@ -232,7 +232,7 @@ def test_the_energy_limit_scales_the_wrench_down_before_it_stops():
     law = plate_law(MASS, 0.15)
     results = {}
     for limit in (0.2, 0.06):
-        limits = WIDE._replace(energy=limit)
+        limits = replace(WIDE, energy=limit)
         loop, why = close(SCENE, ideal_rig(SCENE, law, 0.02), "none", limits=limits, t_end=0.7)
         results[limit] = loop, why
     free, bound = results[0.2][0], results[0.06][0]
@@ -248,7 +248,7 @@ def test_the_load_of_the_rig_is_the_cells_and_the_vehicles_share_is_apart():
     """Stopped by the energy limit, the rig has borne more than the vehicles were given."""
     law = plate_law(MASS, 0.15)
     rig = ideal_rig(SCENE, law, 0.02)
-    loop, _ = close(SCENE, rig, "none", limits=WIDE._replace(energy=0.01), t_end=0.7)
+    loop, _ = close(SCENE, rig, "none", limits=replace(WIDE, energy=0.01), t_end=0.7)
     assert loop.energy_withheld > 0.01
     assert loop.rig_peak_force == pytest.approx(rig.peak_force, rel=0.1)
     whole, _ = close(SCENE, ideal_rig(SCENE, law, 0.02), "none", t_end=0.7)
@@ -266,7 +266,7 @@ class Pulses:
 
 
 def test_energy_given_in_one_touch_is_not_given_again_in_the_next():
-    limits = WIDE._replace(energy=0.02)
+    limits = replace(WIDE, energy=0.02)
     loop = Loop(LoopStage(SCENE), "none", limits=limits)
     energy = loop.stage.energy
     why = run_in_process(loop, Pulses(), 0.5)

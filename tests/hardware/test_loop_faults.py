@@ -2,6 +2,7 @@
 
 import math
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -173,7 +174,7 @@ def test_no_fault_gives_more_energy_than_the_limit_and_every_stop_has_its_reason
 def test_a_rig_that_gives_energy_is_stopped_by_the_energy_limit(method, kind):
     """At the deepest, where such a fault gives the most; a pull while the tip goes in."""
     law = WallLaw(2000.0)
-    limits = LIMITS._replace(acceleration=1e4, depth=1.0)
+    limits = replace(LIMITS, acceleration=1e4, depth=1.0)
     loop = Loop(LoopStage(SCENE), method, law, limits)
     rig = Rig(SCENE, law, Servo(0.0, 0.0), Cell(), Transport())
     start = 0.165 if kind == "doubled" else 0.08
