@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
+from capture_sim.launch.hold import HoldReaders
 from capture_sim.scene.quantities import Range, quantity
 
 #: A stamp that is older than the one before by more is that of a clock that was set back, s.
@@ -124,11 +125,17 @@ class Interlocks:
     """Sees each measurement; returns why nothing may be let go, or why the approach must end.
 
     ``topics``: by sensor, the names of the topics that it may publish.  :meth:`choose` decides
-    which of them a trial uses; the others then do not count.
+    which of them a trial uses; the others then do not count.  ``readers``: those of launcher/hold.
     """
 
-    def __init__(self, limits: TrialLimits, topics: Mapping[Sensor, Sequence[str]]) -> None:
+    def __init__(
+        self,
+        limits: TrialLimits,
+        topics: Mapping[Sensor, Sequence[str]],
+        readers: HoldReaders | None = None,
+    ) -> None:
         self.limits = limits
+        self.readers = readers or HoldReaders()
         self.monitors = {name: SourceMonitor() for names in topics.values() for name in names}
         self._topics = {sensor: tuple(names) for sensor, names in topics.items()}
         self._chosen: dict[Sensor, str] = {}
@@ -155,17 +162,17 @@ class Interlocks:
         return self._chosen.setdefault(sensor, topic) == topic
 
     def refusal(self, now: float) -> str:
-        """Return why the chaser must not be let go; empty if all measurements are fresh."""
+        """Return why the chaser must not be let go; empty if it is seen and its driver is there."""
         stale = [
             self._stale_text(sensor, now, limit)
             for sensor, limit in self._limited()
             if not self._age(sensor, now) <= limit
         ]
         conflicts = [text for sensor, _ in self._limited() if (text := self._conflict(sensor))]
-        return "; ".join([*stale, *conflicts])
+        return "; ".join(filter(None, [*stale, *conflicts, self.readers.refusal(now)]))
 
     def blindness(self, now: float, *, has_moved: bool) -> tuple[str, float]:
-        """Return why the approach is not seen, empty if it is, and for how long the chaser is not.
+        """Return why the approach must end, empty if it goes on, and for how long it is not seen.
 
         The time is in s.  ``has_moved``: the chaser is under way, so that a pose that repeats
         exactly is one of a driver that has lost its view.
@@ -185,7 +192,7 @@ class Interlocks:
             for name in (topic, self._best(Sensor.TARGET))
             if self.monitors[name].has_two_clocks(now)
         ]
-        return "; ".join(mixed), 0.0
+        return "; ".join(mixed) or self.readers.absence(), 0.0
 
     def _limited(self) -> list[tuple[Sensor, float]]:
         limits = self.limits

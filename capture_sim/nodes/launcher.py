@@ -56,6 +56,12 @@ class LauncherNode(BenchNode):
             "let a chaser go only once the goal's client has asked for the result, which shows "
             "that it knows of the accepted goal and can cancel it",
         )
+        driver = self.declare(
+            "driver",
+            "",
+            "node that must read launcher/hold before a release, by name or full name; empty: any "
+            "node but recorders and ros2 topic",
+        )
         self._part: SimulatedLaunch | TrialServer
         if actuator == "simulated":
             if scene is not None:
@@ -68,7 +74,9 @@ class LauncherNode(BenchNode):
             if folder and not Path(folder).is_dir():
                 raise ParameterError(f"parameter scene_folder = {folder!r}: must be a folder")
             scenes = Path(folder) if folder else None
-            settings = TrialSettings(actuator == "output", limits, needs_client, scene, scenes)
+            settings = TrialSettings(
+                actuator == "output", limits, needs_client, driver, scene, scenes
+            )
             self._part = TrialServer(self, settings, self._launch)
         self.add_post_set_parameters_callback(self._parameters_set)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from rclpy.task import Future
 from capture_sim.action import RunTrial
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.errors import CaptureSimError, one_line
-from capture_sim.launch.hold import HoldOutput
+from capture_sim.launch.hold import HoldOutput, HoldReaders
 from capture_sim.launch.interlocks import Interlocks, Sensor, TrialLimits
 from capture_sim.launch.trial import (
     Trial,
@@ -65,6 +65,7 @@ TICK = 0.02
 MAX_LATENESS = 0.1
 #: Feedback is sent, and publishers are looked up, this often, s (wall).
 FEEDBACK_PERIOD, LOOK_UP_PERIOD = 0.1, 0.5
+BOOL = "std_msgs/msg/Bool"
 #: Name of a node that DDS does not know, or not any more.
 UNKNOWN = "_NODE_NAME_UNKNOWN_"
 #: After Ctrl-C a trial gets this long to close its recording, s (wall).
@@ -84,6 +85,7 @@ class TrialSettings:
 
     ``has_actuator``: launcher/hold lets the chaser go; else it is let go by hand.
     ``needs_client``: the chaser is let go only once the client has asked for the result.
+    ``driver``: the node that must read launcher/hold, empty for any.
     ``scene``: of goals that name none; ``scene_folder``: whose files a goal may name besides the
     packaged scenes.
     """
@@ -91,6 +93,7 @@ class TrialSettings:
     has_actuator: bool
     limits: TrialLimits
     needs_client: bool = True
+    driver: str = ""
     scene: Scene | None = None
     scene_folder: Path | None = None
 
@@ -117,7 +120,7 @@ class TrialServer:
         topics = {
             sensor: [topic.name for topic in measuring] for sensor, measuring in MEASURES.items()
         }
-        self._interlocks = Interlocks(settings.limits, topics)
+        self._interlocks = Interlocks(settings.limits, topics, HoldReaders(settings.driver))
         self._trial: Trial | None = None
         self._steps: list[TrialStep] = []
         self._handle: Any = None  # of the goal that is served
@@ -130,7 +133,7 @@ class TrialServer:
         self._hold: HoldOutput | None = None
         if settings.has_actuator:
             # transient local, so that a driver which starts late holds from its first message on
-            kind = message_class("std_msgs/msg/Bool")
+            kind = message_class(BOOL)
             output = node.create_publisher(kind, HOLD, TRANSIENT_LOCAL)
             self._hold = HoldOutput(lambda is_held: output.publish(kind(data=is_held)))
             self._output_hold()
@@ -156,7 +159,7 @@ class TrialServer:
             on_result_request=node.guarded(self._note_result_request),
         )
         node.every(TICK, self._tick)
-        node.every(LOOK_UP_PERIOD, self._look_up_publishers)
+        node.every(LOOK_UP_PERIOD, self._look_up_others)
         # takes part in no run that another node announces
         self._roll = Roll(node, LAUNCHER)
 
@@ -230,17 +233,21 @@ class TrialServer:
     def _is_late(self, now: float) -> bool:
         return now > self._last_tick + TICK + MAX_LATENESS
 
-    def _look_up_publishers(self) -> None:
+    def _look_up_others(self) -> None:
+        """Note who publishes the measurements, and who reads launcher/hold."""
         nodes, mismatches = {}, {}
         for topic in (topic for measuring in MEASURES.values() for topic in measuring):
             name = self._node.resolve_topic_name(topic.name)
             ends = self._node.get_publishers_info_by_topic(name)
-            # of a process that was killed the name goes first
-            nodes[topic.name] = sorted({full_name(e) for e in ends if UNKNOWN not in e.node_name})
+            nodes[topic.name] = sorted(_names(ends))
             for end in ends:
                 if problem := _mismatch(topic, end):
                     mismatches[topic.name] = problem
         self._interlocks.note_publishers(nodes, mismatches)
+        readers = self._node.get_subscriptions_info_by_topic(self._node.resolve_topic_name(HOLD))
+        wrong = {full_name(e): f"reads {e.topic_type}" for e in readers if e.topic_type != BOOL}
+        drivers = _names(readers) - {part.node for part in self._roll.parts.values()}
+        self._interlocks.readers.note(drivers - wrong.keys(), wrong, time.monotonic())
 
     # goals, in callbacks
 
@@ -316,7 +323,7 @@ class TrialServer:
             self._refuse(handle, str(error))
             return
         self._roll.await_heard()
-        self._look_up_publishers()
+        self._look_up_others()
         run = TrialAnnouncement(self._node, self._roll, trial)
         self._steps.clear()
         self._said = ""
@@ -407,6 +414,11 @@ def _feedback(trial: Trial, now: float) -> Any:
         t=now - trial.released,
         gap=trial.gap,
     )
+
+
+def _names(ends: Sequence[Any]) -> set[str]:
+    """Return the full names of the nodes; of a process that was killed the name goes first."""
+    return {full_name(end) for end in ends if UNKNOWN not in end.node_name}
 
 
 def _mismatch(topic: Topic, publisher: Any) -> str:

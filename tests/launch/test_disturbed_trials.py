@@ -30,6 +30,7 @@ def tried(seed, outcome, *how, end=None, offset=0.0, **disturbance):
     ``end``: sensor and time, s, when it falls silent; ``offset``: of the buffer's clock, s.
     """
     interlocks = Interlocks(TrialLimits(time_limit=10.0), TOPICS)
+    interlocks.readers.note(["/driver"], {}, -math.inf)
     messages = stream(np.random.default_rng(seed), outcome, *how, before=1.0, **disturbance)
     trial = Trial(
         TrialGoal("a trial"), SCENE, Launcher(SCENE), interlocks, has_actuator=True, now=-1.0

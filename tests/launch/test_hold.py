@@ -6,7 +6,7 @@ import random
 import pytest
 
 from capture_sim import load_scene
-from capture_sim.launch.hold import HOLD_PERIOD, HOLD_TIMEOUT, HoldOutput
+from capture_sim.launch.hold import HOLD_PERIOD, HOLD_TIMEOUT, HoldOutput, HoldReaders
 from capture_sim.launch.interlocks import Interlocks, Sensor, TrialLimits
 from capture_sim.launch.trial import Trial, TrialGoal, TrialPhase, TrialStep
 from capture_sim.launch.watch import Launcher
@@ -47,6 +47,7 @@ class Bench:
         self.now, self.sent, self.driver, self.steps = 0.0, [], Driver(), []
         self.output = HoldOutput(self.send)
         self.interlocks = Interlocks(TrialLimits(max_pose_age=5.0, max_buffer_age=5.0), TOPICS)
+        self.interlocks.readers.note(["/driver"], {}, -1.0)
         launcher = Launcher(SCENE, aborts=False)
         goal = TrialGoal("c3")
         options = {"has_actuator": True, "now": 0.0, **options}
@@ -169,3 +170,45 @@ def test_a_client_that_never_asks_is_refused():
 def test_by_hand_no_client_is_needed():
     trial = Bench(needs_client=True, has_actuator=False).run(0.5)
     assert trial.is_released
+
+
+@pytest.mark.parametrize(
+    "driver, node, counts",
+    [
+        ("", "/lab/driver", True),
+        ("", "/_ros2cli_4711", False),
+        ("", "/lab/rosbag2_recorder", False),
+        ("driver", "/lab/driver", True),
+        ("/lab/driver", "/lab/driver", True),
+        ("/driver", "/lab/driver", False),
+        ("driver", "/lab/monitor", False),
+    ],
+)
+def test_which_reader_can_be_the_driver(driver, node, counts):
+    readers = HoldReaders(driver)
+    readers.note([node], {}, 0.0)
+    assert (readers.absence() == "") is counts
+    if not counts:
+        expected = f"launcher/hold: not read by {driver}" if driver else "launcher/hold: no reader"
+        assert readers.refusal(10.0) == expected
+
+
+def test_a_driver_is_known_for_a_while_before_a_release():
+    """By then it has received a true; what it was sent before it was found does not count."""
+    readers = HoldReaders()
+    readers.note(["/a"], {}, 1.0)
+    readers.note(["/a"], {}, 1.3)
+    just = 1.0 + HOLD_TIMEOUT
+    assert readers.refusal(just - 1e-6) == "launcher/hold: /a found less than 0.5 s ago"
+    assert readers.refusal(just) == ""
+    readers.note(["/a", "/b"], {}, 2.0)  # a second one, then the first again
+    assert "/b found" in readers.refusal(2.1)
+    readers.note(["/b"], {}, 2.4)
+    readers.note(["/a", "/b"], {}, 2.6)
+    assert readers.refusal(2.7) == "launcher/hold: /a found less than 0.5 s ago"
+
+
+def test_a_driver_that_no_message_reaches_is_named():
+    readers = HoldReaders()
+    readers.note([], {"/rig": "reads std_msgs/msg/Int8", "/_ros2cli_1": "reads a/msg/B"}, 0.0)
+    assert readers.refusal(9.0) == "launcher/hold: no reader (/rig reads std_msgs/msg/Int8)"

@@ -36,6 +36,7 @@ class Rig:
     def __init__(self, *, has_actuator=True, limits=None, travel=travel_at, others=True, **goal):
         self.limits = limits or TrialLimits()
         self.interlocks = Interlocks(self.limits, TOPICS)
+        self.interlocks.readers.note(["/driver"], {}, -1.0)
         self.trial = Trial(
             TrialGoal("c3", **goal),
             SCENE,
@@ -148,10 +149,29 @@ def test_a_refusal_names_age_and_qos():
     interlocks.add("chaser/odom", 10, (0.0, 0.0, 0.0), 1.0)
     mismatches = {"motion_capture/target": "best effort offered, reliable requested"}
     interlocks.note_publishers({"chaser/odom": ["/a"]}, mismatches)
-    chaser, target, buffer = interlocks.refusal(3.5).split("; ")
+    chaser, target, buffer, hold = interlocks.refusal(3.5).split("; ")
     assert chaser == "chaser/odom: last measurement 2.5 s old: must be at most 0.3"
     assert "motion_capture/target: best effort offered, reliable requested" in target
     assert buffer == "joint_states or bench/buffer: no measurement, no publisher"
+    assert hold == "launcher/hold: no reader"
+
+
+def test_nothing_is_released_without_a_driver():
+    rig = Rig()
+    rig.interlocks.readers.note(["/_ros2cli_1"], {}, 0.0)
+    trial = rig.run(rig.limits.start_timeout + 0.5)
+    assert trial.failure == "not released after 10 s: launcher/hold: no reader"
+    assert not trial.is_released
+
+
+@pytest.mark.parametrize("at_the_cone", [True, False])
+def test_a_driver_that_leaves_aborts_an_approach(at_the_cone):
+    rig = Rig()
+    rig.run(CONTACT + 0.3 if at_the_cone else 1.0)
+    rig.interlocks.readers.note([], {}, rig.now)
+    trial = rig.run(0.1)
+    assert trial.failure == ("" if at_the_cone else "launcher/hold: no reader")
+    assert trial.holds is not at_the_cone
 
 
 def test_two_nodes_that_publish_one_sensor_are_named():

@@ -11,7 +11,8 @@ import re
 import pytest
 from capture_sim.action import RunTrial
 from geometry_msgs.msg import PoseStamped
-from rig_session import ABORTED, CANCELED, SUCCEEDED, Goal, Session, check
+from rclpy.node import Node
+from rig_session import ABORTED, CANCELED, SUCCEEDED, Goal, Session, check, rig
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from threads import threads
@@ -153,6 +154,40 @@ def test_no_release_without_fresh_measurements(start, client, tmp_path):
     assert "experimenter publishes std_msgs/msg/Bool, not geometry_msgs/msg/Pose" in result.reason
     assert session.let_go == 0
     assert list(tmp_path.glob("*.mcap")) == []  # nothing was announced
+
+
+class Driver(Node):
+    def __init__(self, **options):
+        super().__init__("driver", **options)
+        self.create_subscription(Bool, HOLD, lambda message: None, TRANSIENT_LOCAL)
+
+
+def test_no_release_without_the_driver(start, client, tmp_path):
+    """The recorder and the experimenter read launcher/hold, and are not the driver."""
+    session = Session(start, client, tmp_path, launcher={"driver": "driver"})
+    with session.bench(pace=1.0):
+        goal = session.goal(0.0)
+        reasons = ["launcher/hold: not read by driver", ""]  # empty: released
+        wait_until(lambda: goal.feedback and goal.feedback[-1].waiting_for in reasons)
+        session.wait(1.0)
+        assert session.let_go == 0
+        with rig(Driver, {}):
+            goal.await_phase(RunTrial.Feedback.APPROACH)
+        status, result = goal.result()  # it has left in the approach
+        assert (status, result.reason) == (ABORTED, "launcher/hold: not read by driver")
+        wait_until(lambda: session.holds[-1][1])
+        assert session.let_go == 1
+
+
+def test_a_node_of_the_suite_is_no_driver(start, client, tmp_path):
+    session = Session(
+        start, client, tmp_path, launcher={"driver": "recorder", "start_timeout": 1.0}
+    )
+    with session.bench():
+        status, result = session.goal(0.0).result()
+        assert status == ABORTED
+        assert "launcher/hold: not read by recorder" in result.reason
+    assert session.let_go == 0
 
 
 def test_cameras_that_die_under_way_hold_the_chaser(start, client, tmp_path):
