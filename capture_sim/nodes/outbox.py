@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Any
 
 from rcl_interfaces.srv import ListParameters
 from rclpy.duration import Duration
@@ -24,23 +23,13 @@ DROPPED_DEPTH = 1000
 DROPPED_RATE = 4000.0
 #: A new publisher waits this long for the readers of the one it replaces, s (wall).
 MATCHING_TIMEOUT = 1.0
-#: Nodes that are asked for a sign of life are discovered, and respond, within this long, s (wall).
-DISCOVERY, RESPONSE = 0.3, 1.0
-#: Messages still on their way when the process is asked to end get this long to arrive, s (wall).
+#: Nodes are asked for a sign of life so often, and get so long each time, s (wall): the response to
+#: a client that a node has just met may be lost.
+ASKED, RESPONSE = 4, 0.3
+#: Last messages get this long to arrive before a process ends, s (wall).
 LAST_DRAIN = 0.5
-_RETRY_PERIOD = 0.002
-_ACK_PERIOD = 0.001
-_ASK_PERIOD = 0.3
-
-
-class Owner(Protocol):
-    """What the publishers need of their node, besides rclpy's own."""
-
-    end_request: threading.Event
-    in_callback: bool
-
-    def wait(self, until: Callable[[], bool] | None = None, limit: float = math.inf) -> bool:
-        """Run callbacks."""
+#: Queues and acknowledgements are looked at this often, s (wall).
+_POLL = 0.001
 
 
 class Outbox:
@@ -55,7 +44,6 @@ class Outbox:
         self.dropped: list[str] = []
         self._node = node
         self._senders: dict[Topic, Any] = {}
-        self._retired: list[Any] = []
         self._next_due: dict[Topic, float] = {}  # s (wall), of the topics that are slowed down
 
     @property
@@ -77,13 +65,15 @@ class Outbox:
         :data:`DROPPED_DEPTH` messages for it.  Return False if the node was asked to end meanwhile;
         the message is not sent then.  CaptureSimError if the message cannot be published.
         """
-        if self._next_due:
-            self._slow_down(topic)
+        if topic in self._next_due:
+            now = time.monotonic()
+            time.sleep(max(0.0, self._next_due[topic] - now))
+            self._next_due[topic] = max(self._next_due[topic], now) + 1.0 / DROPPED_RATE
         if self._try(topic, message):
             return True
         deadline = time.monotonic() + self.reader_timeout
         while not self._node.end_request.is_set():
-            self._pause(_RETRY_PERIOD)
+            self._pause(_POLL)
             if self._try(topic, message):
                 return True
             if time.monotonic() > deadline:
@@ -112,7 +102,6 @@ class Outbox:
         :data:`LAST_DRAIN`.
         """
         deadline = time.monotonic() + limit
-        shutdown_deadline = math.inf
         left = dict(self._senders)
         while True:
             # in slices: rclpy holds Python's lock while it waits
@@ -120,10 +109,10 @@ class Outbox:
             left = {topic: s for topic, s in left.items() if not s.wait_for_all_acked(slice_)}
             now = time.monotonic()
             if self._node.end_request.is_set():
-                shutdown_deadline = min(shutdown_deadline, now + LAST_DRAIN)
-            if not left or now > min(deadline, shutdown_deadline):
+                deadline = min(deadline, now + LAST_DRAIN)
+            if not left or now > deadline:
                 return list(left)
-            time.sleep(_ACK_PERIOD)
+            time.sleep(_POLL)
 
     def report_stalled(self, topic: Topic) -> None:
         """Name the nodes that have not read a topic for too long."""
@@ -153,52 +142,34 @@ class Outbox:
         else:
             self._node.wait(limit=seconds)
 
-    def _slow_down(self, topic: Topic) -> None:
-        due = self._next_due.get(topic)
-        if due is None:
-            return
-        now = time.monotonic()
-        if due > now + 0.02:
-            time.sleep(due - now)
-        self._next_due[topic] = max(due, now) + 1.0 / DROPPED_RATE
-
     def _unresponsive(self, names: Sequence[str]) -> list[str]:
         """Return the nodes that do not answer; a listener of `ros2 topic` cannot be asked."""
-        clients = {
-            name: self._node.create_client(ListParameters, f"{name}/list_parameters")
-            for name in names
-        }
-        self._node.wait(limit=DISCOVERY)
-        answers: dict[str, list[Any]] = {
-            name: [] for name, client in clients.items() if client.service_is_ready()
-        }
-
-        def silent() -> list[str]:
-            return [name for name, sent in answers.items() if not any(a.done() for a in sent)]
-
-        deadline = time.monotonic() + RESPONSE
-        while silent() and time.monotonic() < deadline:
-            # the response to a client that the node has just met may be lost: ask again
-            for name in silent():
-                answers[name].append(clients[name].call_async(ListParameters.Request()))
-            self._node.wait(lambda: not silent(), _ASK_PERIOD)
+        kind = ListParameters
+        clients = {n: self._node.create_client(kind, f"{n}/list_parameters") for n in names}
+        answers: dict[str, list[Any]] = {name: [] for name in names}
+        for _ in range(ASKED):
+            self._node.wait(limit=RESPONSE)
+            for name, client in clients.items():
+                if client.service_is_ready():
+                    answers[name].append(client.call_async(kind.Request()))
+        self._node.wait(limit=RESPONSE)
         for client in clients.values():
             self._node.destroy_client(client)
-        return silent()
+        return [n for n, sent in answers.items() if sent and not any(a.done() for a in sent)]
 
     def _drop_stalled(self, topic: Topic) -> None:
-        """Replace the publishers by ones that do not wait for a reader."""
+        """Replace the publishers by ones that do not wait for a reader.
+
+        The former ones stay: other readers may still be sent what they keep.
+        """
         self.report_stalled(topic)
         for stream, sender in list(self._senders.items()):
             if not stream.transient_local:
-                readers = sender.get_subscription_count()
-                self._retired.append(sender)  # other readers may still be sent what it keeps
-                kind = message_class(stream.type_name)
                 fresh = self._node.create_publisher(
-                    kind, stream.name, QoSProfile(depth=DROPPED_DEPTH)
+                    message_class(stream.type_name), stream.name, QoSProfile(depth=DROPPED_DEPTH)
                 )
-                self._senders[stream] = fresh
-                self._next_due[stream] = 0.0
+                self._senders[stream], self._next_due[stream] = fresh, 0.0
                 deadline = time.monotonic() + MATCHING_TIMEOUT
+                readers = sender.get_subscription_count()
                 while fresh.get_subscription_count() < readers and time.monotonic() < deadline:
-                    time.sleep(0.001)
+                    time.sleep(_POLL)

@@ -24,11 +24,10 @@ from capture_sim.errors import CaptureSimError, one_line
 from capture_sim.interrupts import STOP, end_within, leave_if_busy, watch_signals
 from capture_sim.nodes import dds
 from capture_sim.nodes.node import BenchNode, named_end_error
+from capture_sim.nodes.outbox import LAST_DRAIN
 from capture_sim.nodes.start import FAILED, OK, REFUSAL, REFUSED
 from capture_sim.resources import config_dir
 
-#: Last messages are given this long to arrive before a node ends, s (wall).
-LINGER = 0.3
 #: DDS gets this long to shut down, s (wall).
 DDS_SHUTDOWN_TIMEOUT = 5
 #: A process that was asked to end is ended after this long, s (wall): a disk may be stalled.
@@ -111,7 +110,7 @@ def live(node: BenchNode) -> int:
         log.debug("".join(traceback.format_exception(error)))
         status = FAILED
     node.report_rejections()
-    node.outbox.drain(LINGER)
+    node.outbox.drain(LAST_DRAIN)
     return status
 
 
