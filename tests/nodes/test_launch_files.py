@@ -40,9 +40,12 @@ def test_bench_is_launched_and_its_recording_replayed(tmp_path):
     assert done.returncode == 0, done.stdout
     path = tmp_path / "tilt_p10.mcap"
     assert read_bag(path).complete
-    done = launched("replay.launch.py", f"bag:={path}", "detect:=true", "rtf:=0.0")
-    assert done.returncode == 0, done.stdout
-    assert "tilt_p10: captured" in done.stdout
+    for namespace in ("/", "lab"):
+        where = f"namespace:={namespace}"
+        done = launched("replay.launch.py", f"bag:={path}", "detect:=true", "rtf:=0.0", where)
+        assert done.returncode == 0, done.stdout
+        name = f"{namespace}.capture_detector".removeprefix("/.")
+        assert f"[{name}]: tilt_p10: captured" in done.stdout
 
 
 @pytest.mark.parametrize(
