@@ -95,7 +95,7 @@ def vehicles_on(duration, true, offset=2e-5):
 def cells(loop, why, servo, duration, true):
     """Return the four cells of a run: lag over duration, restitution, energy, load."""
     lag = f"{servo.lag / duration:.2f}"
-    load = f"{loop.rig_peak_force:.0f}"
+    load = f"{loop.contact.peak_force:.0f}"
     energy = f"{1e3 * loop.energy_excess:.3g}"
     if why or not loop.episodes:
         reason = why.partition(": ")[2].partition(" = ")[0] if why else "no touch"
@@ -159,8 +159,8 @@ def closed_forms(_, __):
             rig = Rig(SCENE, law, servo, Cell(force_range=5000.0), Transport())
             loop, _ = close(SCENE, rig, method, limits=LIMITS, t_end=0.35 + 3.0 * duration)
             lag = loop.lag if method == "prediction" else None
-            expected = predicted_restitution(duration, response_of(rig, loop.latency, lag))
-            whole = servo.lag + loop.latency + 1e-3
+            expected = predicted_restitution(duration, response_of(rig, loop.lags.latency, lag))
+            whole = servo.lag + loop.lags.latency + 1e-3
             row = [name, f"{whole / duration:.3f}", method]
             measured = loop.episodes[0].restitution if loop.episodes else math.nan
             rows.append([*row, f"{measured:.3f}", f"{expected:.3f}"])

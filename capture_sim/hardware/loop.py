@@ -14,7 +14,6 @@
 from __future__ import annotations
 
 import math
-import statistics
 from collections import deque
 from collections.abc import Sequence
 from typing import Protocol
@@ -23,10 +22,13 @@ import numpy as np
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.answers import Answer, Answers
+from capture_sim.hardware.contact import RigContact
 from capture_sim.hardware.episodes import ContactEpisode, Episodes
 from capture_sim.hardware.fit import LawEstimate
 from capture_sim.hardware.guard import Guard, Limits
+from capture_sim.hardware.lags import Lags
 from capture_sim.hardware.law import NO_LAW, NO_WRENCH, TipState, WallLaw, Walls, Wrench
+from capture_sim.hardware.positions import Predictor, RunUp
 from capture_sim.hardware.stage import LoopStage, SafeStopError
 
 METHODS = ("none", "prediction", "model")
@@ -43,8 +45,8 @@ MAX_START_DISTANCE = 1e-3
 FULL_RESIDUAL, NO_RESIDUAL = 0.1, 0.2
 #: Steps between two updates of that share, which cost as much as a step.
 RESIDUAL_PERIOD = 10
-#: Time constant by which a prediction follows the lag, s.
-LAG_TIME = 0.03
+#: Positions that are kept for their answers.
+MAX_SENT = 2048
 
 
 class Loop:
@@ -73,24 +75,18 @@ class Loop:
         one = WallLaw(1.0, damping=1.0)  # loads what a fit needs, not within a step
         one.restitution(1.0), one.normal_forces(np.ones(1), np.ones(1)), one.grips(np.ones(1))
         self.stage, self.method = stage, method
-        self._limits, self._threshold = limits, threshold
+        self._limits = limits
         self._walls = Walls(stage.scene)
-        self._first = stage.tip
-        self._n_run_up = round(run_up / stage.step)
-        self._index = -self._n_run_up  # of the newest position
+        self._run_up = RunUp(stage.tip, run_up, stage.step)
+        self._predictor = Predictor(stage.tip, stage.step, limits)
+        self._index = -self._run_up.n_steps  # of the newest position
         self._guard = Guard(stage, limits, law)
         self.answers = Answers(self._guard, self.t)
-        self.pose = self._guard.send(self._run_up_pose())  # to be sent
+        self.pose = self._guard.send(self._run_up.pose(self.t))  # to be sent
+        self._predictor.add(self.pose)
         self._sent = {self._index: self.pose}
-        self._past = deque([self.pose], maxlen=2048)
-        self._ages: deque[float] = deque(maxlen=25)
-        self._servo_lags: deque[float] = deque(maxlen=25)
-        self._servo_lag = 0.0  # s
-        self._lead = self._lead_rate = 0.0  # s, of a prediction
+        self.lags, self.contact = Lags(), RigContact(threshold)
         self._samples: deque[tuple[float, ...]] = deque(maxlen=2048)
-        self._rig_in_touch = False
-        self._rig_forces: deque[float] = deque([0.0, 0.0], maxlen=2)
-        self.rig_peak_force = 0.0  # N
         self.start_distance = 0.0  # m, of the rig's tip from the first position, before the start
         self.notes: list[str] = []
         self._episodes = Episodes(stage, self._walls, law, method == "model", self._note)
@@ -126,24 +122,10 @@ class Loop:
         return self._episodes.estimate
 
     @property
-    def threshold(self) -> float:
-        """Force at which a contact begins, N; it ends at half of it."""
-        return self._threshold
-
-    @property
-    def servo_lag(self) -> float:
-        """By how much the rig's measured tip is behind the position that it answers, s."""
-        return self._servo_lag
-
-    @property
-    def latency(self) -> float:
-        """From a position to the use of its wrench, s, by the stamps."""
-        return statistics.median(self._ages) if self._ages else 0.0
-
-    @property
     def lag(self) -> float:
         """From a position to the effect of its wrench, s: latency, servo, cell, half a step."""
-        return self.latency + self.servo_lag + max(self.estimate.lag, 0.0) + 0.5 * self.stage.step
+        lags, step = self.lags, self.stage.step
+        return lags.latency + lags.servo + max(self.estimate.lag, 0.0) + 0.5 * step
 
     @property
     def known_lag(self) -> float | None:
@@ -159,14 +141,14 @@ class Loop:
         """Take the cell's bias and noise at rest; SafeStopError if it is loaded."""
         self.answers.tare()
         noise = THRESHOLD_DEVIATIONS * self.answers.noise
-        self._threshold = self._threshold or max(noise, MIN_THRESHOLD)
+        self.contact.threshold = self.contact.threshold or max(noise, MIN_THRESHOLD)
 
     def receive(self, stamp: float, wrench: Wrench, tip: TipState | None = None) -> None:
         """Take in an answer of the rig, see :meth:`Answers.offer`; SafeStopError beyond a limit.
 
         Before the first step, only answers of a tip at the first position count as at rest.
         """
-        is_at_start = self._index == -self._n_run_up and abs(stamp - self.t) < 1e-9
+        is_at_start = self._index == -self._run_up.n_steps and abs(stamp - self.t) < 1e-9
         if is_at_start and not self._is_in_place(tip):
             self.answers.forget_rest()
             self.answers.reject("tip not at the first position")
@@ -184,17 +166,19 @@ class Loop:
     def advance(self) -> TipState:
         """Go one step; return the position to send.  SafeStopError at a limit."""
         self.answers.check_latency(self.t)
-        self._ages.append(self.t - self.answers.latest.stamp)
+        self.lags.add_latency(self.t - self.answers.latest.stamp)
         if self._index >= 0:
             self._move_vehicles()
         self._index += 1
-        pose = self._run_up_pose() if self._index < 0 else self.stage.tip
-        self._past.appendleft(pose)
+        pose = self._run_up.pose(self.t) if self._index < 0 else self.stage.tip
         if self.method == "prediction":
-            pose = self._predicted(pose)
+            self._predictor.add(pose)
+            if self._episodes.present is None:
+                self._predictor.follow(self.lag)
+            pose = self._predictor.predicted()
         self.pose = self._guard.send(pose)
         self._sent[self._index] = self.pose
-        self._sent.pop(self._index - len(self._past) + 1, None)
+        self._sent.pop(self._index - MAX_SENT, None)
         return self.pose
 
     def _move_vehicles(self) -> None:
@@ -202,8 +186,7 @@ class Loop:
         episodes = self._episodes
         if episodes.present is None:
             self._guard.note_free_motion()
-            if self._servo_lags:
-                self._servo_lag = statistics.median(self._servo_lags)
+            self.lags.update_servo()
             if episodes.next_law is not None and self._is_clear(episodes.next_law):
                 self._set_law(episodes.next_law)
                 episodes.next_law = None
@@ -216,16 +199,15 @@ class Loop:
             if self._guard.withheld > 0.0 and not (had_withheld or is_model):
                 limit = self._limits.energy
                 self._note(f"energy_limit = {limit:g} J reached: wrench scaled down")
-        force = max(self._rig_forces) if self._rig_in_touch else None
-        episodes.observe(list(self._guard.history), force)
-        if episodes.has_ended(self.answers.latest.stamp, self._servo_lag):
+        episodes.observe(list(self._guard.history), self.contact.force)
+        if episodes.has_ended(self.answers.latest.stamp, self.lags.servo):
             self._end_episode()
         episodes.work()
 
     def _wrench(self) -> Wrench:
         """Return the external wrench on the vehicles in the next step."""
         answer = self.answers.latest
-        measured = answer.wrench if self._rig_in_touch else NO_WRENCH
+        measured = answer.wrench if self.contact.is_on else NO_WRENCH
         if self.method != "model":
             return measured
         if answer.tip is None or self._residual_share == 0.0:
@@ -268,19 +250,10 @@ class Loop:
         fx, fy = answer.wrench.fx, answer.wrench.fy
         normal, tangential = fx * wall.nx + fy * wall.ny, fy * wall.nx - fx * wall.ny
         self._guard.check_answer(reading, normal, wall, unseen_lag)
-        # a second sample below the threshold ends a contact: one may be the noise's
-        self._rig_forces.append(force)
-        if force >= self._threshold:
-            self._rig_in_touch = True
-        elif max(self._rig_forces) < 0.5 * self._threshold:
-            self._rig_in_touch = False
-        if self._rig_in_touch:
-            self.rig_peak_force = max(self.rig_peak_force, force)
-        elif answer.tip is not None and index >= 0 and self._episodes.present is None:
-            speed2 = sent.vx**2 + sent.vy**2
-            if speed2 > 1e-6:
-                behind = (sent.x - answer.tip.x) * sent.vx + (sent.y - answer.tip.y) * sent.vy
-                self._servo_lags.append(max(behind / speed2, 0.0))
+        self.contact.add(force)
+        is_free = not self.contact.is_on and self._episodes.present is None
+        if answer.tip is not None and index >= 0 and is_free:
+            self.lags.add_tip(sent, answer.tip)
         self._samples.append((answer.stamp, wall.depth, wall.rate, normal, tangential, wall.slip))
 
     def _end_episode(self) -> None:
@@ -289,7 +262,7 @@ class Loop:
         rows = np.array(self._samples)
         rows = rows[rows[:, 0] >= episode.begin - max(2.0 * self.lag, 10.0 * self.stage.step)]
         noise = max(self.answers.noise, MIN_THRESHOLD / THRESHOLD_DEVIATIONS)
-        self._episodes.end(rows, noise, self._threshold)
+        self._episodes.end(rows, noise, self.contact.threshold)
 
     def end(self) -> None:
         """Note of a contact that could not be compared with the rig's that it is so."""
@@ -309,41 +282,6 @@ class Loop:
 
     def _note(self, text: str) -> None:
         self.notes.append(f"t = {self.stage.t:.6g} s, contact {len(self.episodes)}: {text}")
-
-    # what is sent
-
-    def _run_up_pose(self) -> TipState:
-        """Return the position of the present time on the way from rest to the first one."""
-        first, t = self._first, self.t
-        span = self._n_run_up * self.stage.step
-        u = 1.0 + t / span if span else 1.0
-        rates = np.array(first[4:]) * (u * u * (3.0 - 2.0 * u) if span else 0.0)
-        back = span * (0.5 - u**3 + 0.5 * u**4)
-        place = np.array(first[1:4]) - back * np.array(first[4:])
-        return TipState(t, *place.tolist(), *rates.tolist())
-
-    def _predicted(self, tip: TipState) -> TipState:
-        """Return where the tip will be, by its difference over a span of the lead.
-
-        Such a difference does not follow a buffer that rings faster than that.  The time stays
-        that of the tip, by which the answer is known.  The lead follows the lag outside of
-        contacts, smoothly: its jumps would be jumps of the position.
-        """
-        step, limits = self.stage.step, self._limits
-        speed = math.hypot(self._first.vx, self._first.vy)
-        # the lag of the time limit, followed from rest, needs a quarter of the acceleration
-        tau = max(LAG_TIME, math.sqrt(4.0 * limits.latency * speed / limits.acceleration))
-        if self._episodes.present is None:
-            lag = min(self.lag, limits.latency)
-            self._lead_rate += step * ((lag - self._lead) / tau - 2.0 * self._lead_rate) / tau
-            self._lead += step * self._lead_rate
-        lead = self._lead
-        n = min(round(lead / step), len(self._past) - 1)
-        before = self._past[n]
-        rates = np.array(tip[4:])
-        if n > 0:
-            rates = (np.array(tip[1:4]) - np.array(before[1:4])) / (n * step)
-        return TipState(tip.t, *(np.array(tip[1:4]) + lead * rates).tolist(), *rates.tolist())
 
 
 class Channel(Protocol):

@@ -52,18 +52,18 @@ def report_of(loop: Loop, pacer: Pacer | None, timing: Timing, stopped: str) -> 
         "ages": list(timing.latencies),
         "round_trips": list(timing.round_trips),
         "lag": {
-            "servo": loop.servo_lag if is_known else None,
+            "servo": loop.lags.servo if is_known else None,
             "force": loop.estimate.lag,
             "whole": loop.known_lag,
         },
         "load_cell": {
             "bias": loop.answers.bias,
             "noise": loop.answers.noise,
-            "threshold": loop.threshold,
+            "threshold": loop.contact.threshold,
         },
         "energy_excess": loop.energy_excess,
         "energy_withheld": loop.energy_withheld,
-        "rig_peak_force": loop.rig_peak_force,
+        "rig_peak_force": loop.contact.peak_force,
         "vehicle_peak_force": max((e.peak_force for e in loop.episodes), default=0.0),
         "law": loop.estimate.law._asdict(),
         "next_law": _next_law(loop),
@@ -89,8 +89,8 @@ def summary(loop: Loop, report: dict[str, Any]) -> list[str]:
     lines = [
         f"{report['steps']} steps, {rate}{report['late_share']:.1%} late; latency "
         f"{latencies[len(latencies) // 2] * 1e3:.1f} ms (median), {latencies[-1] * 1e3:.1f} ms "
-        f"(maximum), whole lag {whole}; peak force on the rig {loop.rig_peak_force:.4g} N, energy "
-        f"added to the vehicles {loop.energy_excess:.3g} J"
+        f"(maximum), whole lag {whole}; peak force on the rig {loop.contact.peak_force:.4g} N, "
+        f"energy added to the vehicles {loop.energy_excess:.3g} J"
     ]
     if loop.episodes:
         value = loop.episodes[0].restitution

@@ -231,7 +231,7 @@ class LoopSimulatorNode(BenchNode):
         bias = ", ".join(f"{value:.3g}" for value in loop.answers.bias[:3])
         self.get_logger().info(
             f"the loop is closed; load cell at rest: bias {bias} N, noise "
-            f"{loop.answers.noise:.3g} N; a contact begins at {loop.threshold:.3g} N"
+            f"{loop.answers.noise:.3g} N; a contact begins at {loop.contact.threshold:.3g} N"
         )
 
     def _why_no_rest(self) -> str:

@@ -128,7 +128,7 @@ def test_a_cell_slower_than_the_loop_is_no_dead_cell():
 
     loop, why = close(SCENE, Recorded(Rig(SCENE, WALL, *IDEAL[:1]), slow), t_end=0.5)
     assert not why
-    assert loop.rig_peak_force > 0.0
+    assert loop.contact.peak_force > 0.0
 
 
 @pytest.mark.parametrize("factor", [0.0, 1e-3, -1.0])
@@ -153,7 +153,7 @@ def test_a_wall_that_is_felt_is_no_fault(sends_tip):
         SCENE, Rig(SCENE, wall, Servo(), sends_tip=sends_tip), "model", wall, Limits(), 0.9
     )
     assert not why
-    assert loop.rig_peak_force > 5.0
+    assert loop.contact.peak_force > 5.0
 
 
 # energy

@@ -47,7 +47,7 @@ def test_a_delay_raises_the_restitution_of_an_elastic_touch_as_predicted(delay):
     rig = ideal_rig(SCENE, plate_law(MASS, duration), delay)
     loop, got = first_touch("none", rig, duration)
     ratio = (delay + 0.5e-3) / duration
-    expected = predicted_restitution(duration, response_of(rig, loop.latency))
+    expected = predicted_restitution(duration, response_of(rig, loop.lags.latency))
     assert got == pytest.approx(expected, rel=0.01)
     logarithm = 0.5 * math.pi**2 * ratio - 7.0 / 48.0 * math.pi**4 * ratio**3
     assert math.log(expected) == pytest.approx(logarithm, abs=2e-3)
@@ -57,7 +57,7 @@ def test_a_delay_raises_the_restitution_of_an_elastic_touch_as_predicted(delay):
 def test_restitution_through_the_real_rig_is_predicted(servo, duration):
     rig = Rig(SCENE, plate_law(MASS, duration), servo, Cell(200.0), Transport())
     loop, got = first_touch("none", rig, duration)
-    expected = predicted_restitution(duration, response_of(rig, loop.latency))
+    expected = predicted_restitution(duration, response_of(rig, loop.lags.latency))
     assert expected > 1.15
     assert got == pytest.approx(expected, rel=0.04)
 
@@ -81,7 +81,7 @@ def test_prediction_knows_the_servos_lag_from_the_measured_tip():
         loop, _ = close(SCENE, rig, "prediction", t_end=0.9)
         errors[sends_tip] = abs(loop.episodes[0].restitution - 1.0)
         if sends_tip:
-            assert loop.servo_lag == pytest.approx(rig.servo.lag, abs=1e-3)
+            assert loop.lags.servo == pytest.approx(rig.servo.lag, abs=1e-3)
         else:
             assert any("later than its stamps and tips show" in note for note in loop.notes)
     assert errors[True] < 0.03
@@ -104,7 +104,7 @@ def test_noise_and_bias_do_not_decide(noise, bias):
     got, _ = close(SCENE, rig, t_end=0.6)
     assert len(got.episodes) == 1
     assert got.answers.noise == pytest.approx(noise, rel=0.3)
-    assert got.threshold == pytest.approx(max(6.0 * got.answers.noise, 0.01))
+    assert got.contact.threshold == pytest.approx(max(6.0 * got.answers.noise, 0.01))
     assert got.episodes[0].restitution == pytest.approx(expected.episodes[0].restitution, rel=0.01)
     assert got.episodes[0].rig.restitution == pytest.approx(0.6, rel=0.01)
 
@@ -250,10 +250,10 @@ def test_the_load_of_the_rig_is_the_cells_and_the_vehicles_share_is_apart():
     rig = ideal_rig(SCENE, law, 0.02)
     loop, _ = close(SCENE, rig, "none", limits=replace(WIDE, energy=0.01), t_end=0.7)
     assert loop.energy_withheld > 0.01
-    assert loop.rig_peak_force == pytest.approx(rig.peak_force, rel=0.1)
+    assert loop.contact.peak_force == pytest.approx(rig.peak_force, rel=0.1)
     whole, _ = close(SCENE, ideal_rig(SCENE, law, 0.02), "none", t_end=0.7)
     (touch,) = whole.episodes
-    assert touch.rig_peak_force == whole.rig_peak_force
+    assert touch.rig_peak_force == whole.contact.peak_force
     assert touch.peak_force == pytest.approx(touch.rig_peak_force)  # nothing was scaled down
 
 
@@ -291,7 +291,7 @@ def test_a_rig_that_a_loop_left_in_the_wall_serves_the_next_one(t_end):
     law = plate_law(MASS, 0.1)
     rig = Rig(SCENE, law, FAST, Cell(noise=0.0), Transport(jitter=0.0, drops=0.0, doubles=0.0))
     left, _ = close(SCENE, rig, t_end=t_end)
-    assert (left.rig_peak_force > 1.0) == (t_end > 0.0)
+    assert (left.contact.peak_force > 1.0) == (t_end > 0.0)
     loop, why = close(SCENE, rig, t_end=0.5)
     assert not why
     assert loop.answers.bias.fx == pytest.approx(0.5, abs=0.01)
