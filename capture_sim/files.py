@@ -117,6 +117,11 @@ def why_no_file(path: Path) -> str:
     return why_not_writable(path.parent)
 
 
+def why_no_folder(path: Path) -> str:
+    """Return the reason why a path is no folder, empty if it is one."""
+    return "" if path.is_dir() else "there is none"
+
+
 def _is_taken(path: Path) -> bool:
     """Return True if a path exists, also as a broken link; OSError if it is not a valid path."""
     try:

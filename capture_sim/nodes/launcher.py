@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from rclpy.parameter import Parameter
 
+from capture_sim.files import why_no_folder
 from capture_sim.launch.interlocks import TrialLimits
 from capture_sim.messages.topics import LAUNCHER
 from capture_sim.nodes.launch_settings import LaunchSettings
@@ -46,9 +46,8 @@ class LauncherNode(BenchNode):
             read_only=False,
         )
         scene = declare_scene(self, "of trials whose goal names none")
-        folder = self.declare(
-            "scene_folder", "", "folder of scenes that a goal may name besides the packaged ones"
-        )
+        text = "folder of scenes that a goal may name besides the packaged ones"
+        scenes = self.declare_path("scene_folder", "", text, "a folder", why_no_folder)
         limits = self.declare_fields(TrialLimits())
         needs_client = self.declare(
             "require_client",
@@ -71,9 +70,6 @@ class LauncherNode(BenchNode):
                 )
             self._part = SimulatedLaunch(self, self._launch, auto_release=auto_release)
         else:
-            if folder and not Path(folder).is_dir():
-                raise ParameterError(f"parameter scene_folder = {folder!r}: must be a folder")
-            scenes = Path(folder) if folder else None
             settings = TrialSettings(
                 actuator == "output", limits, needs_client, driver, scene, scenes
             )

@@ -36,7 +36,7 @@ from capture_sim.hardware.stage import LoopStage, SafeStopError
 from capture_sim.messages.topics import Topic
 from capture_sim.nodes.endpoints import message_class
 from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.parameters import ParameterError, declare_scene
+from capture_sim.nodes.parameters import declare_scene
 from capture_sim.nodes.process import run
 from capture_sim.nodes.start import FAILED, OK
 from capture_sim.recording.offline import write_run
@@ -108,13 +108,11 @@ class LoopSimulatorNode(BenchNode):
         self._start_timeout = self.declare(
             "start_timeout", 60.0, "wait for the answers at rest, s (wall)", low=0.1, high=86400.0
         )
-        report = self.declare("report", "", "JSON file of the measured values; empty: none")
-        self._report = Path(report) if report else None
-        if self._report is not None and (reason := why_no_file(self._report)):
-            raise ParameterError(
-                f"parameter report = '{report}': must be a file that can be written: {reason}"
-            )
-        self._record_path = self._checked_record()
+        kind = "a file or folder that can be written"
+        text = "JSON file of the measured values; empty: none"
+        self._report = self.declare_path("report", "", text, kind, why_no_file)
+        text = "MCAP file of the run, or its folder; empty: none"
+        self._record_path = self.declare_path("record", "runs", text, kind, _why_no_record)
         self._t_end = scene.run.t_end
         law = WallLaw(stiffness or scene.contact_stiffness, exponent, damping, offset, friction)
         if method != "model" and not stiffness:
@@ -132,20 +130,6 @@ class LoopSimulatorNode(BenchNode):
         self.open((TIP, HOLD))
         self.listen(RIG_TIP, self._receive_tip)
         self.listen(TIP_WRENCH, self._receive_wrench)
-
-    def _checked_record(self) -> Path | None:
-        """Return where the run is to be recorded; ParameterError if that cannot be written."""
-        text = self.declare("record", "runs", "MCAP file of the run, or its folder; empty: none")
-        if not text:
-            return None
-        path = Path(text)
-        reason = why_no_file(path) if path.suffix == ".mcap" else why_not_writable(path)
-        if reason:
-            raise ParameterError(
-                f"parameter record = '{text}': must be a file or folder that can be written: "
-                f"{reason}"
-            )
-        return path
 
     def _receive_tip(self, message: Any) -> None:
         tip = tip_of(message)
@@ -294,6 +278,11 @@ class LoopSimulatorNode(BenchNode):
                 raise RecordingError(
                     f"report {self._report}: cannot be written: {error.strerror}"
                 ) from None
+
+
+def _why_no_record(path: Path) -> str:
+    """Return the reason why no run can be recorded in a file or folder; empty if one can."""
+    return why_no_file(path) if path.suffix == ".mcap" else why_not_writable(path)
 
 
 main = partial(run, LoopSimulatorNode)

@@ -6,6 +6,7 @@ import difflib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -131,6 +132,18 @@ class ParameterNode(Node):
                     read_only=read_only,
                 )
         return replace(defaults, **values)
+
+    def declare_path(
+        self, name: str, default: str, description: str, kind: str, why_not: Callable[[Path], str]
+    ) -> Path | None:
+        """Declare a path; return None if it is empty.
+
+        ParameterError if ``why_not`` returns a reason why it is none of this ``kind``.
+        """
+        text = self.declare(name, default, description)
+        if text and (reason := why_not(Path(text))):
+            raise ParameterError(f"parameter {name} = '{text}': must be {kind}: {reason}")
+        return Path(text) if text else None
 
     def warn_of_unknown_parameters(self) -> None:
         """Warn of parameters that were given and never declared: mistyped, most likely."""

@@ -11,7 +11,6 @@ from typing import Any
 from ament_index_python.packages import get_package_share_directory
 from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import serialize_message
-from std_srvs.srv import Trigger
 
 from capture_sim.errors import MessageError, RecordingError, one_line
 from capture_sim.files import why_not_writable
@@ -32,7 +31,6 @@ from capture_sim.messages.topics import (
 from capture_sim.nodes.endpoints import from_bytes, is_own
 from capture_sim.nodes.follower import AnnouncedRun, EndKind, Follower, RunEnd
 from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run
 from capture_sim.nodes.roll import RunReport
 from capture_sim.nodes.sources import SourceDiagnostics
@@ -49,18 +47,13 @@ SEEK_PERIOD = 0.5
 
 
 class RecorderNode(BenchNode):
-    """Writes messages to one MCAP file a run, and checks at the end that none is missing.
-
-    The services ``~/pause`` and ``~/resume`` (std_srvs/Trigger) stop and continue writing.
-    """
+    """Writes messages to one MCAP file a run, and checks at the end that none is missing."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(RECORDER, **options)
-        self._out = Path(self.declare("out", "runs", "folder of the recordings"))
-        if reason := why_not_writable(self._out):
-            raise ParameterError(
-                f"parameter out = '{self._out}': must be a folder that can be written: {reason}"
-            )
+        kind = "a folder that can be written"
+        out = self.declare_path("out", "runs", "folder of the recordings", kind, why_not_writable)
+        self._out = out or Path()
         wanted = self.declare(
             "topics",
             list,
@@ -75,13 +68,10 @@ class RecorderNode(BenchNode):
         self._topics = [known[name] for name in names if name in known]
         self._required = list(self._topics) if wanted else []
         self._sought = {name for name in names if name not in known}
-        self._paused = self.declare("paused", False, "begin each run paused")
         self._recorder: LiveRecorder | None = None  # of the run that is on
         self._failure = ""  # of the disk: why the recording ended before the run
         self._first_after_end: int | None = None  # ns (wall), arrival of the first measurement
         self._follower = Follower(self, RECORDER, self, list(RunSource))
-        self.create_service(Trigger, "~/pause", self.guarded(partial(self._pause, True)))
-        self.create_service(Trigger, "~/resume", self.guarded(partial(self._pause, False)))
         self._sources = SourceDiagnostics(self)
         self._kept: dict[Topic, bytes] = {}  # last message of transient-local topics of others
         for topic in {*self._topics, STREAM_COUNTS} - {RUN_INFO}:
@@ -119,7 +109,6 @@ class RecorderNode(BenchNode):
         except RecordingError as error:
             self._fail_recording(error)
             return
-        recorder.paused = self._paused
         self._recorder = recorder
         self.get_logger().info(f"{run.name}: {RECORDING_IN}{recorder.path}")
         for topic, data in self._kept.items():
@@ -142,8 +131,6 @@ class RecorderNode(BenchNode):
             self._fail_recording(error)
         else:
             received = sum(entry.received for entry in report.topics.values())
-            written = sum(entry.written for entry in report.topics.values())
-            count = f"{received}" if written == received else f"{written} of {received}"
             if end.kind is EndKind.ABANDONED:
                 problems.append(end.reason)
             problems += report.problems
@@ -153,7 +140,7 @@ class RecorderNode(BenchNode):
             for line in report.summary:
                 self.get_logger().info(f"{run.name}: {line}")
             state = "INCOMPLETE" if problems else "complete"
-            self.get_logger().info(f"{report.path}: {count} messages, {state}")
+            self.get_logger().info(f"{report.path}: {received} messages, {state}")
         if self._failure:
             problems.append(self._failure)
         return RunReport(tuple(problems), str(path or ""))
@@ -210,14 +197,6 @@ class RecorderNode(BenchNode):
                 self._sources.watch(topic)
                 self._topics.append(topic)
                 self._required.append(topic)
-
-    def _pause(self, paused: bool, _: Any, response: Any) -> Any:
-        response.success = self._paused != paused
-        response.message = "" if response.success else f"already {'paused' * paused or 'recording'}"
-        self._paused = paused
-        if self._recorder is not None:
-            self._recorder.paused = paused
-        return response
 
     def _record(self, topic: Topic, data: bytes) -> None:
         self._sources.add(topic)

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -20,6 +19,7 @@ from capture_sim.compile_progress import watch_compilation
 from capture_sim.control.pacing import FACTORS, Pacer
 from capture_sim.control.simulation import CutKind, RunCut, SimulationControl, State
 from capture_sim.errors import CaptureSimError, MessageError
+from capture_sim.files import why_no_folder
 from capture_sim.kernels import is_compiled
 from capture_sim.launch.plan import LaunchPlan, plan_launch
 from capture_sim.launch.scenes import load_scene
@@ -127,10 +127,8 @@ class SimulatorNode(BenchNode):
             read_only=False,
             allowed="names of scenes or YAML files, each once",
         )
-        folder = self.declare(
-            "scene_folder", "", "folder of scenes that may be set while the node runs; empty: none"
-        )
-        self._scene_folder = Path(folder) if folder else None
+        text = "folder of scenes that may be set while the node runs; empty: none"
+        self._scene_folder = self.declare_path("scene_folder", "", text, "a folder", why_no_folder)
         overrides = self.declare(
             "overrides",
             list,

@@ -13,7 +13,6 @@ class TopicCount:
     """Messages of one topic, by their numbers."""
 
     received: int = 0  # messages that came
-    written: int = 0  # messages handed to the file; fewer than received while a recorder is paused
     # messages that were sent, as their publisher reports at the end; None before
     expected: int | None = None
     next_seq: int = 0  # sequence number that should come next
@@ -62,15 +61,12 @@ class Completeness:
         self._topics: dict[Topic, TopicCount] = {}
         self._ended: dict[str, str | None] = {}  # why early, by publisher; None: not early
 
-    def add(
-        self, topic: Topic, seq: int | None, time: int | None = None, *, written: bool = True
-    ) -> None:
+    def add(self, topic: Topic, seq: int | None, time: int | None = None) -> None:
         """Count a message, its sequence number, None without one, and its log time, ns."""
         entry = self._topics.get(topic)
         if entry is None:
             entry = self._topics[topic] = TopicCount()
         entry.received += 1
-        entry.written += written
         if time is not None:
             if entry.first is None:
                 entry.first = entry.last = time
@@ -160,10 +156,6 @@ class Completeness:
             if entry.expected is not None and entry.received > entry.expected:
                 lines.append(
                     f"{topic.name}: {entry.received} messages received, {entry.expected} sent"
-                )
-            if entry.written < entry.received:
-                lines.append(
-                    f"{topic.name}: {entry.received - entry.written} messages not written, paused"
                 )
             if entry.out_of_order:
                 lines.append(f"{topic.name}: {entry.out_of_order} messages repeated or disordered")

@@ -49,7 +49,7 @@ class RecordingReport:
 
     path: Path  # the file
     complete: bool  # every publisher has ended its streams, and every message was received
-    # messages received, written, expected and missing, by topic name
+    # messages received, expected and missing, by topic name
     topics: Mapping[str, TopicCount]
     problems: tuple[str, ...]  # one line for each; empty if the recording is complete
     summary: tuple[str, ...] = ()  # messages, rate and longest gap of each required topic
@@ -69,8 +69,7 @@ class LiveRecorder:
     ``queue_bytes`` of memory, and as much again while they are written.
 
     :meth:`take` may be called from any one thread.  All raise RecordingError if the file cannot be
-    written.  ``run``: the recorded run; ``path``: its file; while ``paused`` is set, messages are
-    counted but not written, except StreamCounts.
+    written.  ``run``: the recorded run; ``path``: its file.
     """
 
     def __init__(
@@ -83,7 +82,6 @@ class LiveRecorder:
         required: Sequence[Topic] = (),
         remaps: Mapping[Topic, str] | None = None,
     ) -> None:
-        self.paused = False
         self.run = RunDescription.of_message(decoded(RUN_INFO, info))
         chosen = {*topics, RUN_INFO, STREAM_COUNTS}
         others = [topic for topic in topics if topic not in TOPICS]
@@ -121,10 +119,9 @@ class LiveRecorder:
         if topic is STREAM_COUNTS:
             self._take_counts(data)
         elif topic in self._topics:
-            stamp, paused = self._log_time(topic, data, arrival), self.paused
-            self._completeness.add(topic, sequence_of(topic, data), stamp, written=not paused)
-            if not paused:
-                self._queue.put(topic, data, stamp)
+            stamp = self._log_time(topic, data, arrival)
+            self._completeness.add(topic, sequence_of(topic, data), stamp)
+            self._queue.put(topic, data, stamp)
 
     def close(self) -> RecordingReport:
         """Write the waiting messages, close the file and return the report, every time the same."""
