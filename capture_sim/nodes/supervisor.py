@@ -6,6 +6,7 @@ of the bench less than one.
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -26,14 +27,9 @@ from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, PLAYER, RECO
 from capture_sim.nodes.start import FAILED, OK, RECORDING_IN, REFUSAL, REFUSED
 from capture_sim.scene.parts import Scene
 
-#: After a node has died, the others get this long to notice and to close their files, s.
+#: After one node has died the others get this long to notice and to close their files, and after a
+#: SIGINT a node to end before it is killed, s.
 GRACE = 15.0
-#: After a SIGINT a node gets this long to end before it is killed, s.
-LAST_GRACE = 15.0
-#: What a suite may take besides its runs, s.
-START_LIMIT = 180.0
-#: Wall time that an unpaced run may take for each simulated second, s.
-SLOWEST = 30.0
 #: What ends a command from outside.
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -68,9 +64,6 @@ def run_suite(
     have ended.
     """
     consumers = [LAUNCHER, CAPTURE_DETECTOR, *([RECORDER] if record else [])]
-    limit = START_LIMIT
-    for scene in scenes:
-        limit += scene.run.t_end * (SLOWEST if rtf == 0.0 else 1.5 / rtf)
     with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder:
         files = []
         for number, scene in enumerate(scenes):
@@ -81,7 +74,7 @@ def run_suite(
         parameters[SIMULATOR] = {"scenes": files, "wait_for": consumers, "rtf": float(rtf)}
         if record:
             parameters[RECORDER] = {"out": str(out)}
-        status, processes = _run_nodes(parameters, SIMULATOR, limit, namespace, Path(folder), out)
+        status, processes = _run_nodes(parameters, SIMULATOR, Path(folder), namespace, out)
     return SuiteResult(status, [path for path in processes.recordings if path.is_file()])
 
 
@@ -97,7 +90,7 @@ def replay(parameters: Mapping[str, Any], out: Path) -> int:
     for name in parameters.get("wait_for", ()):
         nodes[name] = {"out": str(out)} if name == RECORDER else {}
     with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder:
-        status, processes = _run_nodes(nodes, PLAYER, float("inf"), "", Path(folder), None)
+        status, processes = _run_nodes(nodes, PLAYER, Path(folder))
     if processes.refusals:
         raise CaptureSimError(processes.refusals[0])
     return status
@@ -106,10 +99,9 @@ def replay(parameters: Mapping[str, Any], out: Path) -> int:
 def _run_nodes(
     parameters: Mapping[str, Mapping[str, Any]],
     announcer: str,
-    limit: float,
-    namespace: str,
     folder: Path,
-    log: Path | None,
+    namespace: str = "",
+    log: Path | None = None,
 ) -> tuple[int, _Processes]:
     """Run nodes to their end; return the status (see :func:`run_suite`) and their output."""
     file = folder / "parameters.yaml"
@@ -124,30 +116,22 @@ def _run_nodes(
     if log is not None and "ROS_HOME" not in environment:
         environment.setdefault("ROS_LOG_DIR", str(log.absolute() / "log"))
     arguments = ["--ros-args", "--params-file", str(file), "-r", f"__ns:=/{namespace.strip('/')}"]
-    where = f"on ROS_DOMAIN_ID {_domain()}" + (f" in {namespace}" if namespace else "")
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    where = f"on ROS_DOMAIN_ID {domain}" + (f" in {namespace}" if namespace else "")
     _print(f"starting {', '.join(parameters)} {where}")
     stop = threading.Event()
     ignored = (signal.SIG_IGN, None)  # by nohup, or for a job in the background: stays so
     restore = watch_signals(stop, [s for s in _ENDING if signal.getsignal(s) not in ignored])
     try:
         with _Processes(list(parameters), arguments, environment) as processes:
-            status = processes.supervise(announcer, limit, stop)
+            status = processes.supervise(announcer, stop)
     finally:
         restore()
     return status, processes
 
 
-def _domain() -> int:
-    given = os.environ.get("ROS_DOMAIN_ID", "")
-    return int(given) if given.isdigit() else 0
-
-
-_printing = threading.Lock()
-
-
 def _print(text: str, who: str = "suite") -> None:
-    with _printing:
-        print(f"[{who}] {text}", flush=True)
+    print(f"[{who}] {text}\n", end="", flush=True)  # a line is written at once: by several threads
 
 
 class _Processes:
@@ -180,24 +164,25 @@ class _Processes:
     def __exit__(self, *error: object) -> None:
         self._end()
 
-    def supervise(self, announcer: str, limit: float, stop: threading.Event) -> int:
-        """Wait until all have ended, ``limit`` s at most; return the exit status.
+    def supervise(self, announcer: str, stop: threading.Event) -> int:
+        """Wait until all have ended; return the exit status.
 
         The others are asked to end when the announcer has ended.  When another node dies they get
         some time to notice, to report it and to close their files.  KeyboardInterrupt if ``stop``
         was set.
         """
-        began = time.monotonic()
-        deadline = began + limit
-        status = OK
+        began, deadline, status = time.monotonic(), math.inf, OK
         while self._running:
-            for name, code in self._ended():
+            for name, process in list(self._running.items()):
+                code = process.poll()
+                if code is None:
+                    continue
+                del self._running[name]
                 if code != OK:
                     _print(f"{name} {_describe(code)}")
                     status = max(status, REFUSED if code == REFUSED else FAILED)
                 if name == announcer:
-                    for process in self._running.values():
-                        process.send_signal(signal.SIGINT)
+                    self._interrupt()
                 if code != OK or name == announcer:
                     patience = 0.0 if code == REFUSED else GRACE
                     deadline = min(deadline, time.monotonic() + patience)
@@ -208,6 +193,10 @@ class _Processes:
                 raise KeyboardInterrupt
         _print(f"all nodes have ended, after {time.monotonic() - began:.1f} s")
         return status
+
+    def _interrupt(self) -> None:
+        for process in self._running.values():
+            process.send_signal(signal.SIGINT)
 
     def _start(self, name: str) -> None:
         process = subprocess.Popen(
@@ -225,20 +214,10 @@ class _Processes:
         reader.start()
         self._readers.append(reader)
 
-    def _ended(self) -> list[tuple[str, int]]:
-        ended = []
-        for name, process in list(self._running.items()):
-            code = process.poll()
-            if code is not None:
-                del self._running[name]
-                ended.append((name, code))
-        return ended
-
     def _end(self) -> None:
         """End the remaining processes by SIGINT, and by SIGKILL if one does not react."""
-        for process in self._running.values():
-            process.send_signal(signal.SIGINT)
-        deadline = time.monotonic() + LAST_GRACE
+        self._interrupt()
+        deadline = time.monotonic() + GRACE
         for name, process in self._running.items():
             try:
                 process.wait(max(0.0, deadline - time.monotonic()))
