@@ -16,10 +16,9 @@ from typing import NamedTuple
 
 from capture_sim.control.pacing import Pacer
 
-#: Callbacks get their turn this often while time goes on, s (wall).
+#: Callbacks get their turn this often while time goes on.  Waits below this are slept through: the
+#: executor's own would be later by 0.1 ms, s (wall).
 SERVICE_PERIOD = 0.005
-#: Waits below this are slept through: the executor's own would be later by 0.1 ms, s (wall).
-SLEEP_LIMIT = 0.005
 
 
 class State(IntEnum):
@@ -171,9 +170,9 @@ class SimulationControl:
             now = time.monotonic()
             delay = self.pacer.delay(t)
             if now > self._served + SERVICE_PERIOD:
-                self._serve(max(0.0, delay - SLEEP_LIMIT))
-            elif delay > SLEEP_LIMIT:
-                self._serve(delay - SLEEP_LIMIT)
+                self._serve(max(0.0, delay - SERVICE_PERIOD))
+            elif delay > SERVICE_PERIOD:
+                self._serve(delay - SERVICE_PERIOD)
             elif delay > 0.0:
                 time.sleep(delay)
             else:

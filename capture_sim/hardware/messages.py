@@ -16,6 +16,7 @@ from capture_sim.messages.convert import (
     Messages,
     odometry,
     stamp_columns,
+    stamp_in,
     stamp_seconds,
     stamps_ns,
 )
@@ -42,8 +43,7 @@ HOLD = Topic(
 
 def stamp_of(message: Any) -> float:
     """Return the stamp of a message with a header, s since the loop's start."""
-    stamp = message.header.stamp
-    return stamp_seconds(int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec))
+    return stamp_seconds(stamp_in(message))
 
 
 def tip_message(make: Messages, t: float, tip: TipState) -> bytes:

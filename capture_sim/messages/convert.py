@@ -88,6 +88,12 @@ def stamp_ns(t: float) -> int:
     return EPOCH_NS + round(t * 1e9)
 
 
+def stamp_in(message: Any) -> int:
+    """Return the stamp of a message with a header, ns."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
 def stamp_seconds(stamp: int) -> float:
     """Return the time since the release of a stamp: s for ns."""
     return (stamp - EPOCH_NS) / 1e9

@@ -38,6 +38,8 @@ except ImportError:
 MIN_DEPTH = 100
 #: A wait looks at its condition, and at Ctrl-C, at least this often, s (wall).
 POLL = 0.1
+#: Who publishes the topics of others is looked up this often, s (wall).
+LOOK_UP_PERIOD = 0.5
 #: What unexpected numbers, lists and bytes raise in a callback.
 _ODD_CONTENTS = (ValueError, TypeError, LookupError, ArithmeticError, AssertionError, struct.error)
 

@@ -30,7 +30,7 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.nodes.endpoints import from_bytes, is_own
 from capture_sim.nodes.follower import AnnouncedRun, EndKind, Follower, RunEnd
-from capture_sim.nodes.node import BenchNode
+from capture_sim.nodes.node import LOOK_UP_PERIOD, BenchNode
 from capture_sim.nodes.process import run
 from capture_sim.nodes.roll import RunReport
 from capture_sim.nodes.sources import SourceDiagnostics
@@ -42,8 +42,6 @@ from capture_sim.recording.live import LiveRecorder, RecordingReport
 OVERTAKING = 500_000_000
 #: What is recorded later too: the last messages of the participants.
 AFTER_END = {STREAM_COUNTS, *topics_of(LAUNCHER), *topics_of(CAPTURE_DETECTOR)}
-#: Topics of others are looked for this often, s (wall).
-SEEK_PERIOD = 0.5
 
 
 class RecorderNode(BenchNode):
@@ -82,7 +80,7 @@ class RecorderNode(BenchNode):
         self._follower.join()
         if self._sought:
             self._seek()
-            self.every(SEEK_PERIOD, self._seek)
+            self.every(LOOK_UP_PERIOD, self._seek)
 
     @property
     def run(self) -> Any:

@@ -33,6 +33,7 @@ from capture_sim.launch.trial import (
 )
 from capture_sim.launch.watch import Launcher
 from capture_sim.messages.cdr import Numbers
+from capture_sim.messages.convert import stamp_in
 from capture_sim.messages.definitions import typestore
 from capture_sim.messages.measurements import MeasurementReader
 from capture_sim.messages.topics import (
@@ -52,7 +53,7 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.nodes.endpoints import TRANSIENT_LOCAL, full_name, message_class, qos_of
 from capture_sim.nodes.launch_settings import LaunchSettings
-from capture_sim.nodes.node import BenchNode
+from capture_sim.nodes.node import LOOK_UP_PERIOD, BenchNode
 from capture_sim.nodes.requested_scene import load_requested
 from capture_sim.nodes.roll import Roll
 from capture_sim.nodes.trial_announcement import TrialAnnouncement
@@ -63,8 +64,8 @@ TICK = 0.02
 #: A timer that is later by more than this shows that this node was busy: messages wait for it.
 #: It gets as long to read them before it decides by them, s (wall).
 MAX_LATENESS = 0.1
-#: Feedback is sent, and publishers are looked up, this often, s (wall).
-FEEDBACK_PERIOD, LOOK_UP_PERIOD = 0.1, 0.5
+#: Feedback is sent this often, s (wall).
+FEEDBACK_PERIOD = 0.1
 BOOL = "std_msgs/msg/Bool"
 #: Name of a node that DDS does not know, or not any more.
 UNKNOWN = "_NODE_NAME_UNKNOWN_"
@@ -212,9 +213,8 @@ class TrialServer:
     def _receive_verdict(self, status: Any) -> None:
         if self._trial is None:
             return
-        stamp = status.header.stamp.sec * 10**9 + status.header.stamp.nanosec
         label = CaptureState(status.state).label
-        self._trial.add_verdict(label, status.reason, is_final=status.final, stamp=stamp)
+        self._trial.add_verdict(label, status.reason, is_final=status.final, stamp=stamp_in(status))
         self._decide(time.monotonic())
 
     def _hear_announcement(self, info: Any) -> None:

@@ -8,7 +8,6 @@ comes too fast is not shown.
 from __future__ import annotations
 
 import math
-import struct
 from functools import partial
 from typing import Any
 
@@ -19,7 +18,8 @@ from capture_sim.detection.criteria import CaptureState
 from capture_sim.detection.measurements import Source
 from capture_sim.launch.scenes import load_scene
 from capture_sim.measured import measured_samples
-from capture_sim.messages.convert import stamp_seconds
+from capture_sim.messages.cdr import stamp_of
+from capture_sim.messages.convert import stamp_in, stamp_seconds
 from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader
 from capture_sim.messages.topics import (
     BENCH_EVENT,
@@ -46,7 +46,6 @@ VIEWER = "viewer"
 #: Read of a real bench besides poses and buffer.
 EXTRA_TOPICS = (CONTACT_STATE, CONTACT_WRENCH, STRING_STATE)
 _UNKNOWN = (math.nan, math.nan, math.nan)
-_STAMP = struct.Struct("<iI")  # of a message with a header, behind the byte order's mark
 
 
 class ViewerNode(BenchNode):
@@ -151,8 +150,7 @@ class ViewerNode(BenchNode):
 
     def _is_shown(self, topic: Topic, data: bytes) -> bool:
         """Return True if a message is shown, by its first bytes."""
-        seconds, nanoseconds = _STAMP.unpack_from(data, 4)
-        slot = math.floor((seconds + nanoseconds * 1e-9) / self._period + 1e-6)
+        slot = math.floor(1e-9 * (stamp_of(topic, data) or 0) / self._period + 1e-6)
         if slot == self._last_slot.get(topic) or (
             self.run is None and not self._begin_unannounced()
         ):
@@ -182,7 +180,7 @@ class ViewerNode(BenchNode):
             stamp, content = self._readers[topic](data)
         else:
             content = from_bytes(topic, data)
-            stamp = stamp_ns_of(content)
+            stamp = stamp_in(content)
         self._newest[what] = [*self._newest.get(what, [])[-1:], (stamp, content)]
 
     def _begin_unannounced(self) -> bool:
@@ -234,7 +232,7 @@ class ViewerNode(BenchNode):
         if self._last_status is None:
             return
         status = from_bytes(CAPTURE_STATUS, self._last_status)
-        t = self._since_start(stamp_seconds(stamp_ns_of(status)))
+        t = self._since_start(stamp_seconds(stamp_in(status)))
         # one that is older belongs to the next run, which is not announced yet
         if self.run is not None or self._unannounced or t >= self._last_verdict:
             self._last_verdict = t
@@ -264,12 +262,6 @@ def _series_at(t: np.ndarray, observation: Observation, parts: dict[Any, Any]) -
         values |= {"string_phase": string.phase, "string_tension": string.tension}
         values |= {"mass_height": string.mass_height, "mass_speed": string.mass_speed}
     return {name: Series(t, np.array([value], dtype=float)) for name, value in values.items()}
-
-
-def stamp_ns_of(message: Any) -> int:
-    """Return the stamp of a message with a header, ns."""
-    stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
 main = partial(run, ViewerNode)
