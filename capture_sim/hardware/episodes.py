@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -153,7 +153,7 @@ class Episodes:
         if 0.0 < short < math.inf:
             text += f": its tip ended {short * 1e3:.3g} mm before the law's wall"
         if self.estimate.deviations is None:
-            softer = law._replace(stiffness=law.stiffness / SOFTENING, damping=0.0)
+            softer = replace(law, stiffness=law.stiffness / SOFTENING, damping=0.0)
             text += f"; stiffness lowered to {softer.stiffness:.3g}"
             self.next_law, self.estimate = softer, LawEstimate(softer)
         self._disagree(text)

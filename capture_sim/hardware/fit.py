@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,7 +66,7 @@ def fit_touch(
     def law_of(theta: np.ndarray) -> WallLaw:
         stiffness = float(np.exp(theta[0]))  # inf where math.exp would raise
         damping, offset = float(theta[1]) * stiffness / speed, float(theta[2])
-        return prior.law._replace(stiffness=stiffness, damping=damping, offset=offset)
+        return replace(prior.law, stiffness=stiffness, damping=damping, offset=offset)
 
     def predicted(theta: np.ndarray) -> np.ndarray:
         return law_of(theta).normal_forces(*_interpolated(t, depth, rate, t - theta[3]))
@@ -105,9 +105,9 @@ def fit_touch(
     spread = max(1.0, residual / sigma)
     deviations = spread * np.sqrt(np.diag(np.linalg.inv(normal)))
     law = law_of(theta)
-    law = law._replace(friction=_friction(force, tangential, slip, law, sigma))
+    law = replace(law, friction=_friction(force, tangential, slip, law, sigma))
     restitution = law.restitution(speed)
-    lossier = law._replace(damping=law.damping + deviations[1] * law.stiffness / speed)
+    lossier = replace(law, damping=law.damping + deviations[1] * law.stiffness / speed)
     return LawEstimate(
         law,
         float(theta[3]),

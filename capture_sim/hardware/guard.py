@@ -11,7 +11,7 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from capture_sim.hardware.law import NO_LAW, NO_WRENCH, Penetration, TipState, WallLaw, Wrench
 from capture_sim.hardware.stage import LoopStage, SafeStopError, StageState
@@ -77,7 +77,7 @@ class Guard:
         self._stage, self._limits = stage, limits
         self._expected = WallLaw(_LEAST_STIFFNESS, offset=law.offset)
         if law.stiffness > 0.0:
-            self._expected = law._replace(stiffness=_LEAST_SHARE * law.stiffness, damping=0.0)
+            self._expected = replace(law, stiffness=_LEAST_SHARE * law.stiffness, damping=0.0)
         self._reference = stage.energy  # J, the least before the touch
         self._sent: deque[TipState] = deque(maxlen=2)
         self._max_row = math.inf  # identical readings in a row

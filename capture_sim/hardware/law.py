@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from capture_sim.model.contact import (
 )
 from capture_sim.model.geometry import nearest_on_wall
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import Range, quantity
 
 _nearest_on_wall = plain(nearest_on_wall)
 _normal_force, _friction_coefficient = plain(normal_force), plain(friction_coefficient)
@@ -81,14 +83,30 @@ class TipState(NamedTuple):
     omega: float  # rad/s
 
 
-class WallLaw(NamedTuple):
+@dataclass(frozen=True)
+class WallLaw:
     """F_n = max(0, d^p (k + c d')) at a penetration d, and friction against the slip."""
 
-    stiffness: float  # k, N/m^p; 0 for no wall
-    exponent: float = 1.0  # p: 1 for a spring, 1.5 for Hertz
-    damping: float = 0.0  # c, N s/m^(p + 1): Hunt and Crossley's, c = chi of the bench's laws
-    offset: float = 0.0  # m, of the walls towards the tip from where the scene has them
-    friction: float = 0.0  # mu of mu F_n tanh(slip / slip_speed)
+    stiffness: float = quantity(
+        "N/m^p",
+        Range(0.0, 1e12),
+        doc="stiffness k of the walls; 0: of the scene where assumed",
+    )
+    exponent: float = quantity(
+        "1", Range(1.0, 3.0), default=1.0, doc="exponent p of the penetration: 1 spring, 1.5 Hertz"
+    )
+    damping: float = quantity(  # Hunt and Crossley's, c = chi of the bench's laws
+        "N s/m^(p + 1)", Range(0.0, 1e12), default=0.0, doc="damping c of the walls"
+    )
+    offset: float = quantity(
+        "m",
+        Range(-0.1, 0.1),
+        default=0.0,
+        doc="offset of the walls towards the tip from where the scene has them",
+    )
+    friction: float = quantity(
+        "1", Range(0.0, 10.0), default=0.0, doc="mu of mu F_n tanh(slip / slip_speed)"
+    )
     slip_speed: float = 1e-3  # m/s
 
     def duration(self, mass: float, speed: float) -> float:
@@ -99,7 +117,7 @@ class WallLaw(NamedTuple):
         """Return the elastic law with this exponent whose touch of a mass lasts so long (s)."""
         n, depth = self.exponent + 1.0, duration * speed / self._duration_factor
         stiffness = 0.5 * n * mass * speed**2 / depth**n
-        return self._replace(stiffness=stiffness, damping=0.0)
+        return replace(self, stiffness=stiffness, damping=0.0)
 
     @property
     def _duration_factor(self) -> float:

@@ -65,7 +65,7 @@ def report_of(loop: Loop, pacer: Pacer | None, timing: Timing, stopped: str) -> 
         "energy_withheld": loop.energy_withheld,
         "rig_peak_force": loop.contact.peak_force,
         "vehicle_peak_force": max((e.peak_force for e in loop.episodes), default=0.0),
-        "law": loop.estimate.law._asdict(),
+        "law": asdict(loop.estimate.law),
         "next_law": _next_law(loop),
         "contacts": [_entry(episode) for episode in loop.episodes],
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -34,17 +35,10 @@ class ContactRigNode(BenchNode):
         scene = declare_scene(self, "scene with the cone", "_loop")
         number = partial(self.declare, low=0.0)
         ideal = self.declare("ideal", False, "true: no servo, noise, bias or delays")
-        stiffness = number("stiffness", 2000.0, "stiffness of the walls, N/m^exponent", high=1e12)
-        exponent = self.declare(
-            "exponent", 1.0, "exponent of the penetration: 1 spring, 1.5 Hertz", low=1.0, high=3.0
-        )
+        names = {"offset": "wall_offset", "damping": ""}
+        law = self.declare_fields(WallLaw(2000.0), lambda name: names.get(name, name))
         damping = number("damping", 0.0, "damping c of F = k d^p (1 + c d'), s/m", high=1e6)
-        offset = self.declare(
-            "wall_offset", 0.0, "offset of the walls towards the tip, m", low=-0.1, high=0.1
-        )
-        friction = number("friction", 0.0, "friction coefficient of the walls", high=10.0)
-        law = WallLaw(stiffness, exponent, stiffness * damping, offset, friction)
-
+        law = replace(law, damping=law.stiffness * damping)
         servo, cell, transport = IDEAL if ideal else (Servo(), Cell(), Transport())
         servo = self.declare_fields(servo, "servo_{}".format)
         cell = self.declare_fields(cell, lambda name: f"cell_{name.removeprefix('force_')}")

@@ -6,6 +6,7 @@ import json
 import math
 import time
 from collections import deque
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -90,21 +91,9 @@ class LoopSimulatorNode(BenchNode):
             high=1e6,
         )
         method = self.declare("compensation", "none", "method against the delay", choices=METHODS)
-        stiffness = number(
-            "stiffness", 0.0, "model: first stiffness, N/m^exponent; 0: the scene's", high=1e12
+        law = self.declare_fields(
+            WallLaw(0.0, 1.5), lambda name: "wall_offset" if name == "offset" else name
         )
-        exponent = self.declare(
-            "exponent", 1.5, "exponent of the penetration: 1 spring, 1.5 Hertz", low=1.0, high=3.0
-        )
-        damping = number("damping", 0.0, "model: first damping, N s/m^(exponent + 1)", high=1e12)
-        offset = self.declare(
-            "wall_offset",
-            0.0,
-            "model: first offset of the walls towards the tip, m",
-            low=-0.1,
-            high=0.1,
-        )
-        friction = number("friction", 0.0, "model: first coefficient of friction", high=10.0)
         self._start_timeout = self.declare(
             "start_timeout", 60.0, "wait for the answers at rest, s (wall)", low=0.1, high=86400.0
         )
@@ -114,9 +103,10 @@ class LoopSimulatorNode(BenchNode):
         text = "MCAP file of the run, or its folder; empty: none"
         self._record_path = self.declare_path("record", "runs", text, kind, _why_no_record)
         self._t_end = scene.run.t_end
-        law = WallLaw(stiffness or scene.contact_stiffness, exponent, damping, offset, friction)
-        if method != "model" and not stiffness:
-            law = WallLaw(0.0, exponent, offset=offset)  # nothing is known of the rig's walls
+        if method != "model" and not law.stiffness:
+            law = WallLaw(0.0, law.exponent, offset=law.offset)  # nothing is known of the walls
+        elif not law.stiffness:
+            law = replace(law, stiffness=scene.contact_stiffness)
         self._loop = Loop(LoopStage(scene, 1.0 / rate), method, law, limits, threshold, run_up)
         self._inbox: deque[tuple[float, float, Wrench]] = deque()  # arrival (wall), stamp, wrench
         self._rig_tips: dict[float, TipState] = {}

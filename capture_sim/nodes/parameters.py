@@ -118,14 +118,14 @@ class ParameterNode(Node):
     ) -> Any:
         """Declare a parameter for each quantity of a dataclass; return it with their values.
 
-        ``name_of`` returns a parameter's name from that of its field.
+        ``name_of`` returns a parameter's name from that of its field; empty for no parameter.
         """
         values = {}
         for field in declared(type(defaults)).values():
-            if field.allowed is not None:
+            if field.allowed is not None and (name := name_of(field.name)):
                 bounds: dict[str, Any] = {"low": field.allowed.low, "high": field.allowed.high}
                 values[field.name] = self.declare(
-                    name_of(field.name),
+                    name,
                     getattr(defaults, field.name),
                     ", ".join(filter(None, (field.doc, field.unit))),
                     **({} if field.kind is bool else bounds),

@@ -278,7 +278,7 @@ def test_energy_given_in_one_touch_is_not_given_again_in_the_next():
 def test_a_restitution_that_one_side_alone_has_is_not_known():
     """The wall is 5 mm farther on the rig than in the scene: only the law is in contact."""
     law = plate_law(MASS, 0.1)
-    far = Rig(SCENE, law._replace(offset=-5e-3), SLOW)
+    far = Rig(SCENE, replace(law, offset=-5e-3), SLOW)
     loop, _ = close(SCENE, far, "model", law, t_end=0.5)
     assert loop.episodes[0].peak_force > 1.0
     assert loop.episodes[0].rig_peak_force == 0.0

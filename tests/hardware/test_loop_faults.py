@@ -57,10 +57,10 @@ class FaultyRig:
             return answers
         if self.kind == "stiffer":
             law = self.rig.law
-            self.rig.law = law._replace(stiffness=10.0 ** (3.0 * self.size) * law.stiffness)
+            self.rig.law = replace(law, stiffness=10.0 ** (3.0 * self.size) * law.stiffness)
         elif self.kind.startswith("wall "):
             sign = 1.0 if self.kind == "wall nearer" else -1.0
-            self.rig.law = self.rig.law._replace(offset=sign * 2e-4 * self.size)
+            self.rig.law = replace(self.rig.law, offset=sign * 2e-4 * self.size)
         elif self.kind == "hidden lag":
             self.rig.hidden_lag = 0.03 * self.size
         if self.kind in ("stiffer", "wall nearer", "wall farther", "hidden lag"):

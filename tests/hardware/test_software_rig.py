@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -78,7 +79,7 @@ def test_the_cell_filters():
 
 
 def test_a_wall_has_its_offset():
-    deep = [moved(ideal_rig(SCENE, LAW._replace(offset=o)), lambda t: 0.0, 2) for o in (0.0, 1e-5)]
+    deep = [moved(ideal_rig(SCENE, replace(LAW, offset=o)), lambda t: 0.0, 2) for o in (0.0, 1e-5)]
     gained = deep[1][-1].wrench.force - deep[0][-1].wrench.force
     assert gained == pytest.approx(2000.0 * 1e-5, rel=1e-6)
 
