@@ -18,7 +18,6 @@ from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.qos import QoSCompatibility, qos_check_compatible
-from rclpy.task import Future
 
 from capture_sim.action import RunTrial
 from capture_sim.detection.criteria import CaptureState
@@ -100,7 +99,10 @@ class TrialSettings:
 
 
 class _Server(ActionServer):
-    """An action server that reports which goal's result a client has asked for."""
+    """An action server that reports which goal's result a client has asked for.
+
+    A goal is executed at its end: an execution that waits would be resumed after every callback.
+    """
 
     def __init__(self, *arguments: Any, on_result_request: Callable[[bytes], None], **more: Any):
         self._on_result_request = on_result_request
@@ -111,6 +113,13 @@ class _Server(ActionServer):
         if "result" in taken_data:
             self._on_result_request(bytes(taken_data["result"][1].goal_id.uuid))
         await super().execute(taken_data)
+
+    def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
+        """Leave the execution of an accepted goal to :meth:`end`."""
+
+    def end(self, handle: Any) -> None:
+        """Have the executor execute a goal, whose result is then sent to who asks for it."""
+        super().notify_execute(handle, None)
 
 
 class TrialServer:
@@ -124,8 +133,8 @@ class TrialServer:
         self._interlocks = Interlocks(settings.limits, topics, HoldReaders(settings.driver))
         self._trial: Trial | None = None
         self._steps: list[TrialStep] = []
-        self._handle: Any = None  # of the goal that is served
-        self._finished: Future | None = None
+        self._handle: Any = None  # of the goal that is served, until its result is sent
+        self._outcome: tuple[str, Any]  # of that goal: method of the handle, result
         self._last_tick = self._caught_up = time.monotonic()
         self._last_stamp = 0  # ns
         self._said = ""  # the last deviation that was logged
@@ -176,6 +185,8 @@ class TrialServer:
         finally:
             self._trial = None
             self._output_hold()
+            if self._handle is not None:
+                self._refuse(INTERRUPTED)
 
     def settings_changed(self) -> None:
         """Use settings that have been changed, also in the trial that is on."""
@@ -252,7 +263,7 @@ class TrialServer:
     # goals, in callbacks
 
     def _receive_goal(self, request: Any) -> GoalResponse:
-        if self._handle is None and self._finished is None:
+        if self._handle is None:
             return GoalResponse.ACCEPT
         name = one_line(request.name or request.scene)[:100]
         on = "a trial" if self._trial is None else self._trial.goal.name
@@ -260,16 +271,13 @@ class TrialServer:
         return GoalResponse.REJECT
 
     def _accept(self, handle: Any) -> None:
-        self._handle, self._finished = handle, Future()
+        self._handle = handle
         self._goal_id = bytes(handle.goal_id.uuid)
         handle.execute()
 
-    async def _execute(self, handle: Any) -> Any:
-        """Wait for the trial's result, which :meth:`_serve` has."""
-        assert self._finished is not None
-        outcome, result = await self._finished
-        getattr(handle, outcome)()
-        self._finished = None
+    def _execute(self, handle: Any) -> Any:
+        outcome, result = self._outcome
+        getattr(handle, "canceled" if handle.is_cancel_requested else outcome)()
         return result
 
     def _note_result_request(self, goal_id: bytes) -> None:
@@ -307,7 +315,7 @@ class TrialServer:
 
     def _serve(self) -> None:
         """Run the trial of the goal that was accepted."""
-        handle, self._handle = self._handle, None
+        handle = self._handle
         try:
             goal, scene = self._checked(handle.request)
             trial = Trial(
@@ -320,7 +328,7 @@ class TrialServer:
                 now=time.monotonic(),
             )
         except CaptureSimError as error:
-            self._refuse(handle, str(error))
+            self._refuse(str(error))
             return
         self._roll.await_heard()
         self._look_up_others()
@@ -344,7 +352,7 @@ class TrialServer:
         finally:
             self._trial = None
             self._output_hold()
-            self._finish(handle, run)
+            self._finish(run)
 
     def _follow(self, handle: Any, run: TrialAnnouncement, limit: float = math.inf) -> None:
         trial, deadline, reported = run.trial, time.monotonic() + limit, -math.inf
@@ -376,14 +384,14 @@ class TrialServer:
             )
         return TrialGoal(request.name or scene.name, request.note, request.expected), scene
 
-    def _refuse(self, handle: Any, reason: str) -> None:
+    def _refuse(self, reason: str) -> None:
         self._node.get_logger().error(one_line(f"trial refused: {reason}"))
         nothing = dict.fromkeys(
             ("impact_speed", "max_force", "max_stroke", "max_torsion"), math.nan
         )
-        self._set_outcome(handle, "abort", RunTrial.Result(reason=reason, **nothing))
+        self._send_result("abort", RunTrial.Result(reason=reason, **nothing))
 
-    def _finish(self, handle: Any, run: TrialAnnouncement) -> None:
+    def _finish(self, run: TrialAnnouncement) -> None:
         """Send the result to the client."""
         trial, result = run.trial, RunTrial.Result(**run.result())
         log = self._node.get_logger()
@@ -396,14 +404,15 @@ class TrialServer:
             log.warning(f"{trial.goal.name}: {result.verdict}, expected {trial.goal.expected}")
         for problem in result.problems:
             log.warning(one_line(f"{trial.goal.name}: {problem}"))
-        outcome = "abort" if trial.failure else "succeed"
-        self._set_outcome(handle, outcome, result)
+        self._send_result("abort" if trial.failure else "succeed", result)
 
-    def _set_outcome(self, handle: Any, outcome: str, result: Any) -> None:
-        assert self._finished is not None
-        if handle.is_cancel_requested:
-            outcome = "canceled"
-        self._finished.set_result((outcome, result))
+    def _send_result(self, outcome: str, result: Any) -> None:
+        """Send the result of the goal that is served, at the node's end too."""
+        self._outcome = outcome, result
+        self._server.end(self._handle)
+        while self._handle.is_active:
+            self._node.serve(TICK)
+        self._handle = None
 
 
 def _feedback(trial: Trial, now: float) -> Any:

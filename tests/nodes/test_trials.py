@@ -262,8 +262,12 @@ def test_cancel_and_bad_goals(start, client, tmp_path):
         assert result.recording == str(tmp_path / "own_scene.mcap")
         assert read_bag(result.recording).scene.name == "tilt_p10"
         # Ctrl-C is a cancel too: it holds, and closes the file
-        session.goal(name="last").await_phase(RunTrial.Feedback.APPROACH)
+        goal = session.goal(name="last")
+        goal.await_phase(RunTrial.Feedback.APPROACH)
         assert session.launcher.end() == 0
+        status, result = goal.result()
+        assert (status, result.reason) == (ABORTED, "launcher interrupted")
+        assert result.recording == str(tmp_path / "last.mcap")
         wait_until(lambda: session.holds[-1][1])
         session.recorder.wait_for("last.mcap: ")
 
