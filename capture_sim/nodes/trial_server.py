@@ -68,7 +68,7 @@ FEEDBACK_PERIOD = 0.1
 BOOL = "std_msgs/msg/Bool"
 #: Name of a node that DDS does not know, or not any more.
 UNKNOWN = "_NODE_NAME_UNKNOWN_"
-#: After Ctrl-C a trial gets this long to close its recording, s (wall).
+#: After Ctrl-C a trial gets this long to close its recording, its client to ask for it, s (wall).
 SHUTDOWN_TIMEOUT = 3.0
 #: What measures, by sensor.
 MEASURES = {
@@ -185,8 +185,8 @@ class TrialServer:
         finally:
             self._trial = None
             self._output_hold()
-            if self._handle is not None:
-                self._refuse(INTERRUPTED)
+            if self._goal_id:
+                self._answer_last_goal()
 
     def settings_changed(self) -> None:
         """Use settings that have been changed, also in the trial that is on."""
@@ -407,12 +407,23 @@ class TrialServer:
         self._send_result("abort" if trial.failure else "succeed", result)
 
     def _send_result(self, outcome: str, result: Any) -> None:
-        """Send the result of the goal that is served, at the node's end too."""
+        """Have the result of the goal that is served sent."""
         self._outcome = outcome, result
         self._server.end(self._handle)
         while self._handle.is_active:
             self._node.serve(TICK)
         self._handle = None
+
+    def _answer_last_goal(self) -> None:
+        """Send the last result at the node's end, though its client may yet have to ask for it."""
+        if self._handle is not None:
+            self._refuse(INTERRUPTED)
+        deadline = time.monotonic() + SHUTDOWN_TIMEOUT
+        while self._awaited != self._goal_id and time.monotonic() < deadline:
+            self._node.serve(TICK)
+        response = self._node.executor.create_task(lambda: None)  # behind that which sends it
+        while not response.done():
+            self._node.serve(TICK)
 
 
 def _feedback(trial: Trial, now: float) -> Any:

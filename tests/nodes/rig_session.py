@@ -33,8 +33,10 @@ SUCCEEDED, CANCELED, ABORTED = (
     *(GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_CANCELED, GoalStatus.STATUS_ABORTED),
 )
 #: A busy machine is no dead camera, and no absent node.
-PATIENT = {"start_timeout": 120.0, "max_pose_age": 10.0, "max_buffer_age": 10.0}
-PATIENT |= {"max_hold_silence": 10.0, "time_limit": 600.0, "closing_timeout": 120.0}
+PATIENT = {"max_pose_age": 10.0, "max_buffer_age": 10.0, "max_hold_silence": 10.0}
+#: A trial waits this long, s; after all three it has a result, which names what it has waited for.
+WAITS = {"start_timeout": 60.0, "time_limit": 120.0, "closing_timeout": 60.0}
+PATIENT |= WAITS
 
 
 def asked(actions, send, *arguments, **options):
@@ -81,7 +83,11 @@ class Goal:
 
     def result(self):
         """Wait for the end; return the goal's status and the result."""
-        wait_until(self._result.done, lambda: f"no result of a goal: {self.feedback[-1:]}")
+        wait_until(
+            self._result.done,
+            lambda: f"no result of a goal: {self.feedback[-1:]}",
+            sum(WAITS.values()) + 60.0,
+        )
         answer = self._result.result()
         return answer.status, answer.result
 

@@ -20,6 +20,7 @@ from threads import threads
 from capture_sim import load_scene, simulate
 from capture_sim.messages.topics import CHASER_POSE, HOLD, RUN_INFO
 from capture_sim.nodes.endpoints import TRANSIENT_LOCAL
+from capture_sim.nodes.roll import Roll
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.bag_file import BagFile
 from capture_sim.recording.offline import write_run
@@ -270,6 +271,18 @@ def test_cancel_and_bad_goals(start, client, tmp_path):
         assert result.recording == str(tmp_path / "last.mcap")
         wait_until(lambda: session.holds[-1][1])
         session.recorder.wait_for("last.mcap: ")
+
+
+def test_a_goal_that_comes_with_ctrl_c_gets_a_result(start, client, tmp_path, monkeypatch):
+    session = Session(start, client, tmp_path)
+
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Roll, "await_heard", interrupt)  # before the trial begins
+    status, result = session.goal().result()
+    assert (status, result.reason) == (ABORTED, "launcher interrupted")
+    assert session.launcher.status() == 0
 
 
 # sensors of other kinds, and a full disk
