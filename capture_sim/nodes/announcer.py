@@ -1,19 +1,19 @@
-"""How a simulator or player announces runs: it waits for nodes before a run and after it."""
+"""How a node announces runs: who joins one, who has left it; waiting for nodes before and after."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from rclpy.qos import ReliabilityPolicy
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.convert import RunDescription
-from capture_sim.messages.topics import ROLL, RUN_INFO, STREAM_COUNTS, RunSource, topics_of
+from capture_sim.messages.topics import ROLL, RUN_INFO, STREAM_COUNTS, RunSource
 from capture_sim.nodes.endpoints import full_name
 from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.roll import Part, Roll, node_of, run_key
+from capture_sim.nodes.roll import Part, Roll, RunReport, node_of, run_key
 
 #: After a run the participants get this long to close their files, s (wall).
 END_TIMEOUT = 60.0
@@ -21,24 +21,64 @@ END_TIMEOUT = 60.0
 SETTLING_TIME = 0.3
 #: What is waited for is logged after this long, then at growing intervals, s (wall).
 _REPORT_PERIOD = 2.0
-_POLL = 0.02
 
 
-@dataclass(frozen=True)
 class Cast:
-    """Who takes part in a run, besides the node that announces it."""
+    """Who takes part in a run, besides the node that announces it: roles, and ids, see Roll."""
 
-    participants: tuple[str, ...]  # ids, see Roll
-    roles: tuple[str, ...]
+    def __init__(self, parts: Sequence[Part]) -> None:
+        self.participants = tuple(sorted(part.id for part in parts))
+        self.roles = tuple(sorted({part.role for part in parts}))
+        #: Roles that have streams of their own: their counts end the run too.
+        self.publishers = tuple(sorted({part.role for part in parts if part.has_streams}))
 
-    @property
-    def publishing_roles(self) -> tuple[str, ...]:
-        """Roles that have streams of their own: their counts end the run too."""
-        return tuple(role for role in self.roles if len(topics_of(role)) > 1)
+
+class Announcement:
+    """A run that is announced: by whom of its participants it is joined, and left.
+
+    ``data``: its RunInfo, serialised, where there is one already.
+    """
+
+    def __init__(
+        self, node: BenchNode, roll: Roll, run: RunDescription, data: bytes | None = None
+    ) -> None:
+        self.run = run
+        self.key = run_key(run)
+        self._node, self._roll = node, roll
+        self._send(run) if data is None else node.send(RUN_INFO, data)
+
+    def not_joined(self) -> str:
+        """Return which participants have yet to join the run; empty if all have."""
+        return _listed("to join the run", self._roll.not_ready(self.key, self._participants()))
+
+    def not_left(self) -> str:
+        """Return which participants have yet to leave the run."""
+        return _listed("to end the run", self._roll.not_done(self.key, self._participants()))
+
+    def parts(self) -> list[Part]:
+        """Return the participants that have been heard."""
+        ids = self.run.participants
+        return [self._roll.parts[id_] for id_ in ids if id_ in self._roll.parts]
+
+    def reports(self) -> list[RunReport]:
+        """Return what the participants that have left the run report of it."""
+        return [part.report for part in self.parts() if part.is_done(self.key)]
+
+    def close(self) -> None:
+        """Announce that no run is on; its description stays for later subscribers."""
+        self._send(replace(self.run, run_id=""))
+
+    def _participants(self) -> list[str]:
+        dropped = self._node.outbox.dropped
+        return [id_ for id_ in self.run.participants if node_of(id_) not in dropped]
+
+    def _send(self, run: RunDescription) -> None:
+        messages = self._node.messages
+        self._node.send(RUN_INFO, messages.serialise(messages.run_info(run)))
 
 
 class Announcer:
-    """Announces the runs of a node.
+    """Announces the runs of a simulator or player, one after another, and waits for nodes.
 
     ``wait_for``: roles, names or full names of nodes that must be there before a run; a node that
     is not on the roll is there when its subscriptions are matched.  ``check`` is called while
@@ -58,7 +98,7 @@ class Announcer:
         self._source = source
         self._wait_for = tuple(wait_for)
         self._check = check
-        self._description: RunDescription | None = None
+        self._announcement: Announcement | None = None
         self._is_on = False
         self._subscriptions: dict[str, int] = {}  # of the user's nodes, by name in wait_for
         self._changed = 0.0  # s (wall), when they did last
@@ -72,76 +112,66 @@ class Announcer:
         """Return who is there to take part; CaptureSimError during a trial of a real bench."""
         self._check_trials()
         self._is_on = True
-        parts = [part for part in self._roll.free(self._source) if chosen(part)]
-        roles = sorted({part.role for part in parts})
-        return Cast(tuple(sorted(part.id for part in parts)), tuple(roles))
+        return Cast([part for part in self._roll.free(self._source) if chosen(part)])
 
-    def announce(self, description: RunDescription, data: bytes, limit: float) -> None:
-        """Announce a run and wait until all participants are ready, ``limit`` s (wall) at most.
+    def announce(self, run: RunDescription, data: bytes) -> None:
+        """Announce a run and wait until all participants are ready.
 
         CaptureSimError if one that the run has to wait for does not join it.
         """
-        self._description = description
-        key, participants = run_key(description), description.participants
-        self._node.send(RUN_INFO, data)
+        self._announcement = on = Announcement(self._node, self._roll, run, data)
         try:
-            self.await_none(
-                description.name,
-                lambda: _listed("to join the run", self._roll.not_ready(key, participants)),
-                limit,
-            )
+            self.await_none(run.name, on.not_joined, self._node.outbox.reader_timeout)
         except CaptureSimError as error:
-            self._node.get_logger().warning(f"{description.name}: {error}")
+            self._node.get_logger().warning(f"{run.name}: {error}")
         for name in self._wait_for:
-            parts = [self._roll.parts[id_] for id_ in participants if id_ in self._roll.parts]
-            known = [part for part in parts if part.is_called(name)]
-            if known and not any(part.is_ready(key) for part in known):
+            known = [part for part in on.parts() if part.is_called(name)]
+            if known and not any(part.is_ready(on.key) for part in known):
                 raise CaptureSimError(f"{name} has not joined the run")
+
+    def await_read(self) -> None:
+        """Wait until all that was sent has arrived, and name a reader that reads nothing."""
+        outbox = self._node.outbox
+        unread = outbox.drain(outbox.reader_timeout)
+        if unread and not outbox.dropped and not self._node.end_request.is_set():
+            outbox.report_stalled(unread[0])
 
     def await_done(self) -> None:
         """Wait until all participants have left the run; CaptureSimError after the limit."""
-        assert self._description is not None
-        name, key = self._description.name, run_key(self._description)
-        participants = [
-            id_
-            for id_ in self._description.participants
-            if node_of(id_) not in self._node.outbox.dropped
-        ]
-        self.await_none(
-            name,
-            lambda: _listed("to end the run", self._roll.not_done(key, participants)),
-            END_TIMEOUT,
-            check=lambda: None,  # the run that is cut ends in order all the same
-        )
+        if (on := self._announcement) is not None:
+            # a run that is cut ends in order all the same: nothing is checked
+            self.await_none(on.run.name, on.not_left, END_TIMEOUT, check=lambda: None)
 
     def close(self) -> None:
         """Announce that no run is on; its description stays for later subscribers."""
         self._is_on = False
-        if self._description is not None:
-            info = self._node.messages.run_info(replace(self._description, run_id=""))
-            self._node.send(RUN_INFO, self._node.messages.serialise(info))
+        if self._announcement is not None:
+            self._announcement.close()
 
     def await_none(
         self,
         name: str,
         pending: Callable[[], str],
-        limit: float | None,
+        limit: float,
         check: Callable[[], None] | None = None,
     ) -> None:
         """Wait until ``pending`` returns nothing; log its result at growing intervals.
 
         CaptureSimError after ``limit`` s (wall).
         """
-        began = last_report = time.monotonic()
-        period = _REPORT_PERIOD
-        while text := pending():
-            (check or self._check)()
-            self._node.wait(limit=_POLL)
-            now = time.monotonic()
-            if limit is not None and now - began > limit:
-                raise CaptureSimError(f"{text}: timed out after {limit:g} s")
-            if now - last_report > period:
-                last_report, period = now, 2.0 * period
+        check = check or self._check
+
+        def is_over() -> bool:
+            check()
+            return not pending()
+
+        left, period = limit, _REPORT_PERIOD
+        while not self._node.wait(is_over, min(period, left)):
+            left -= period
+            period *= 2.0
+            if text := pending():
+                if left <= 0.0:
+                    raise CaptureSimError(f"{text}: timed out after {limit:g} s")
                 self._node.get_logger().info(f"{name}: {text}")
 
     def check_part(self, part: Part) -> None:

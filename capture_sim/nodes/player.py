@@ -37,10 +37,6 @@ from capture_sim.recording.playback import Playback, PlayedCounts, publisher_of,
 
 #: Nodes of the suite that can take part.
 ROLES = (CAPTURE_DETECTOR, RECORDER)
-#: The last messages of a replay without participants get this long to arrive, s (wall).
-LAST = 1.0
-#: ... and with some this long, s (wall).
-CLOSING_TIME = 60.0
 
 
 class PlayerNode(BenchNode):
@@ -195,10 +191,10 @@ class PlayerNode(BenchNode):
         else:
             self.wait(limit=self._delay)
         cast = self._announcer.cast(
-            lambda part: len(topics_of(part.role)) < 2 or any(map(part.is_called, self._wait_for))
+            lambda part: not part.has_streams or any(map(part.is_called, self._wait_for))
         )
         skipped = self._playback.skipped(self._offset, self._outlets)
-        adapt_counts = PlayedCounts(cast.publishing_roles, skipped)
+        adapt_counts = PlayedCounts(cast.publishers, skipped)
         run: RunDescription | None = None
         is_ended = False  # the simulator's counts have been played
         self._control.pacer.reset()
@@ -209,10 +205,10 @@ class PlayerNode(BenchNode):
                 if run is not None:
                     self._await_done(run, is_ended)
                 run, announcement = replayed(
-                    data, self._roll.id, cast.participants, cast.publishing_roles
+                    data, self._roll.id, cast.participants, cast.publishers
                 )
                 is_ended = False
-                self._announcer.announce(run, announcement, self.outbox.reader_timeout)
+                self._announcer.announce(run, announcement)
                 count[topic_name] += 1
                 continue
             if topic is STREAM_COUNTS:
@@ -226,7 +222,7 @@ class PlayerNode(BenchNode):
         # measured before the others close their files
         spent = max(self._control.pacer.wall, 1e-9)
         self._control.pacer.pause()
-        self.outbox.drain(CLOSING_TIME if self._wait_for else LAST)
+        self._announcer.await_read()
         if run is not None:
             self._await_done(run, is_ended)
         played = (stamp - self._playback.start) / 1e9 - self._offset

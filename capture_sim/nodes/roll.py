@@ -19,7 +19,7 @@ from typing import Any
 from rclpy.event_handler import SubscriptionEventCallbacks
 
 from capture_sim.errors import one_line
-from capture_sim.messages.topics import ROLL, RunSource
+from capture_sim.messages.topics import ROLL, RunSource, topics_of
 from capture_sim.nodes.endpoints import message_class
 from capture_sim.nodes.node import BenchNode
 
@@ -61,6 +61,11 @@ class Part:
         return number_of(self.id)
 
     @property
+    def has_streams(self) -> bool:
+        """True if nodes of this role have streams of their own, whose counts end a run too."""
+        return has_streams(self.role)
+
+    @property
     def is_in_trial(self) -> bool:
         """True if the node takes part in a trial of a real bench now."""
         return self.state == READY and self.source == RunSource.TRIAL
@@ -86,6 +91,11 @@ def node_of(participant: str) -> str:
 def number_of(participant: str) -> str:
     """Return the number in a participant's id."""
     return participant.partition("#")[2]
+
+
+def has_streams(role: str) -> bool:
+    """Return True if a role publishes streams, besides the counts of streams."""
+    return len(topics_of(role)) > 1
 
 
 def run_key(info: Any) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import itertools
+import math
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -307,7 +308,7 @@ class SimulatorNode(BenchNode):
             self._announcer.await_nodes(scene.name, self._start_timeout)
             telemetry, has_launcher = self._begin_run(scene)
             if has_launcher:
-                self._announcer.await_none(scene.name, self._launcher.pending, None)
+                self._announcer.await_none(scene.name, self._launcher.pending, math.inf)
             bench = Bench(scene, _plan(scene, self._launcher.armed))
             failure = self._simulate(bench, telemetry)
             extremes = "" if failure else extremes_to_text(bench.extremes)
@@ -338,15 +339,14 @@ class SimulatorNode(BenchNode):
         description = RunDescription.of(
             scene,
             run_id,
-            [SIMULATOR, *cast.publishing_roles],
+            [SIMULATOR, *cast.publishers],
             announcer=self.roll.id,
             participants=cast.participants,
         )
         self._launcher.begin(run_id, scene)
         telemetry = BenchTelemetry(self.messages, scene, description)
         self._model.begin(scene)
-        info = telemetry.begin().data
-        self._announcer.announce(description, info, self.outbox.reader_timeout)
+        self._announcer.announce(description, telemetry.begin().data)
         return telemetry, LAUNCHER in cast.roles
 
     def _simulate(self, bench: Bench, telemetry: BenchTelemetry) -> str:
@@ -366,9 +366,7 @@ class SimulatorNode(BenchNode):
         """Wait until all that was sent has arrived, then report the counts."""
         for sent in telemetry.rest():
             self.publish(sent)
-        unread = self.outbox.drain(self.outbox.reader_timeout)
-        if unread and not reason and not self.outbox.dropped:
-            self.outbox.report_stalled(unread[0])
+        self._announcer.await_read()
         self.publish(telemetry.end(complete=not reason, reason=reason, extremes=extremes))
 
     def _await_participants(self, name: str) -> str:

@@ -10,16 +10,10 @@ from capture_sim.launch.trial import Trial, TrialPhase, TrialStep
 from capture_sim.launch.watch import LauncherPhase
 from capture_sim.messages.convert import LaunchAction, RunDescription
 from capture_sim.messages.telemetry import LauncherTelemetry
-from capture_sim.messages.topics import (
-    CAPTURE_DETECTOR,
-    LAUNCHER,
-    RECORDER,
-    RUN_INFO,
-    RunSource,
-    topics_of,
-)
+from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, RECORDER, RunSource
+from capture_sim.nodes.announcer import Announcement, Cast
 from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.roll import DONE, READY, Roll, RunReport, run_key
+from capture_sim.nodes.roll import DONE, READY, Roll, RunReport
 
 
 class TrialAnnouncement:
@@ -28,8 +22,8 @@ class TrialAnnouncement:
     def __init__(self, node: BenchNode, roll: Roll, trial: Trial) -> None:
         self.trial = trial
         self._node, self._roll = node, roll
-        self._description: RunDescription | None = None
-        self._roles: set[str] = set()  # of the nodes that take part
+        self._announced: Announcement | None = None
+        self._cast = Cast([])
         self._telemetry: LauncherTelemetry
         self._is_closed = self._is_delivered = False
 
@@ -64,22 +58,20 @@ class TrialAnnouncement:
 
     def state_of_others(self) -> dict[str, Any]:
         """Return which of the other nodes have joined and ended: arguments of Trial.set_others."""
-        if self._description is None:
+        if self._announced is None:
             return {"ready": False, "done": False, "pending": ""}
-        key, ids = run_key(self._description), self._description.participants
-        not_ready, not_done = self._roll.not_ready(key, ids), self._roll.not_done(key, ids)
-        pending = not_ready if self.trial.phase is TrialPhase.PREPARING else not_done
+        not_joined, not_left = self._announced.not_joined(), self._announced.not_left()
         return {
-            "ready": not not_ready,
-            "done": self._is_closed and not not_done,
-            "pending": f"waiting for {', '.join(pending)}" if pending else "",
+            "ready": not not_joined,
+            "done": self._is_closed and not not_left,
+            "pending": not_joined if self.trial.phase is TrialPhase.PREPARING else not_left,
         }
 
     def result(self) -> dict[str, Any]:
         """Return the fields of the result of a trial that is over."""
-        trial, reports = self.trial, self._reports()
+        trial, reports = self.trial, self._announced.reports() if self._announced else []
         verdict, reason = trial.outcome
-        if CAPTURE_DETECTOR not in self._roles and trial.is_released:
+        if CAPTURE_DETECTOR not in self._cast.roles and trial.is_released:
             reason = reason or "no capture_detector takes part"
         files = [report.file for report in reports if report.file]
         problems = [*trial.problems, *(p for report in reports for p in report.problems)]
@@ -98,23 +90,21 @@ class TrialAnnouncement:
 
     def _announce(self) -> None:
         """Announce the trial to all nodes that take part in trials."""
-        parts = self._roll.free(RunSource.TRIAL)
-        self._roles = {part.role for part in parts}
-        for role in {CAPTURE_DETECTOR, RECORDER} - self._roles:
-            self._node.get_logger().warning(f"{self.trial.goal.name}: no {role} takes part")
+        goal = self.trial.goal
+        self._cast = cast = Cast(self._roll.free(RunSource.TRIAL))
+        for role in {CAPTURE_DETECTOR, RECORDER} - {*cast.roles}:
+            self._node.get_logger().warning(f"{goal.name}: no {role} takes part")
         run = RunDescription.of(
             self.trial.scene,
             uuid.uuid4().hex,
-            sorted(role for role in {LAUNCHER, *self._roles} if len(topics_of(role)) > 1),
+            sorted({LAUNCHER, *cast.publishers}),
             source=RunSource.TRIAL,
             announcer=self._roll.id,
-            participants=sorted({self._roll.id, *(part.id for part in parts)}),
+            participants=sorted({self._roll.id, *cast.participants}),
         )
-        goal = self.trial.goal
         run = replace(run, name=goal.name, note=goal.note, expected=goal.expected)
-        self._description = run
+        self._announced = Announcement(self._node, self._roll, run)
         self._telemetry = LauncherTelemetry(self._node.messages, run.run_id)
-        self._send_info(run)
         self._roll.report(READY, run)
         plan = self.trial.launcher.plan
         how = "no string"
@@ -124,21 +114,9 @@ class TrialAnnouncement:
 
     def _close(self) -> None:
         """Send the counts of the launcher's messages, and that no run is on."""
-        assert self._description is not None
+        assert self._announced is not None
         failure = self.trial.failure
         self._node.publish(self._telemetry.end(complete=not failure, reason=failure))
-        self._send_info(replace(self._description, run_id=""))
-        report = RunReport((failure,) if failure else ())
-        self._roll.report(DONE, self._description, report)
+        self._announced.close()
+        self._roll.report(DONE, self._announced.run, RunReport((failure,) if failure else ()))
         self._is_closed = True
-
-    def _send_info(self, run: RunDescription) -> None:
-        messages = self._node.messages
-        self._node.send(RUN_INFO, messages.serialise(messages.run_info(run)))
-
-    def _reports(self) -> list[RunReport]:
-        """Return the other nodes' reports on the trial."""
-        if self._description is None:
-            return []
-        key = run_key(self._description)
-        return [part.report for part in self._roll.parts.values() if part.is_done(key)]
