@@ -10,27 +10,27 @@ import gc
 import math
 import time
 import uuid
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from typing import Any, Protocol
 
 from capture_sim.control.simulation import CutKind
 from capture_sim.errors import CaptureSimError, MessageError, one_line
 from capture_sim.launch.scenes import load_scene_text
-from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.convert import LONGEST_NAME, RunDescription
 from capture_sim.messages.topics import (
     RUN_INFO,
     SIMULATOR,
     STREAM_COUNTS,
     RunSource,
     Topic,
-    topics_of,
 )
-from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.roll import DONE, READY, Roll, RunReport, run_key
+from capture_sim.nodes.node import POLL, BenchNode
+from capture_sim.nodes.roll import DONE, READY, Roll, RunReport, has_streams, run_key
 from capture_sim.nodes.start import FAILED
+from capture_sim.recording.completeness import Completeness, counts_of
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import shown
 
@@ -44,9 +44,6 @@ GONE_TIMEOUT = 0.5
 RUN_END_TIMEOUT = 3.0
 #: Why a run ends that Ctrl-C ended.
 INTERRUPTED = "interrupted"
-#: Characters of a run's name that are taken.
-LONGEST_NAME = 200
-_POLL = 0.1
 
 
 class EndKind(Enum):
@@ -94,7 +91,7 @@ class AnnouncedRun:
         """Who announces it."""
         return RunSource(self.info.source)
 
-    @property
+    @cached_property
     def simulated(self) -> bool:
         """Whether its times are a simulator's, live or played: the release is t = 0."""
         return SIMULATOR in self.info.publishers
@@ -116,6 +113,23 @@ class RunPart(Protocol):
         """End the run: publish the rest, close files, report missing messages."""
 
 
+class _Participation:
+    """A run that this node takes part in, and how far it is."""
+
+    def __init__(self, run: AnnouncedRun, followed: Sequence[Topic]) -> None:
+        self.run = run
+        self.streams = Completeness([SIMULATOR] if run.simulated else [], followed)
+        self.counts: Any = None  # StreamCounts by which the simulator has ended it
+        self.has_begun = self.has_ended = False
+        self.is_closed = False  # the announcer has announced that no run is on
+        self.last_sign = -math.inf  # s (wall), of a message or of the announcer
+        self.logged: set[str] = set()  # problems
+
+    def note_sign(self) -> None:
+        """Note that something of the run has come, or that its announcer is there."""
+        self.last_sign = time.monotonic()
+
+
 class Follower:
     """Takes part in runs for a node.
 
@@ -135,23 +149,15 @@ class Follower:
         on_roll: bool = True,
     ) -> None:
         self.roll: Roll
-        self.run: AnnouncedRun | None = None  # that is announced or on
         self._node = node
         self._role = role
         self._part = part
         self._sources = sources
         self._on_roll = on_roll
-        self._has_streams = len(topics_of(role)) > 1  # besides the counts
         self._followed: list[Topic] = []
-        self._received: Counter[str] = Counter()
-        self._counts: Any = None  # StreamCounts by which the run was ended
-        self._ended = False
-        self._closed = False  # the announcer has announced that no run is on
-        self._begun = False
-        self._last_message = -math.inf
-        self._last_key = ""  # of the last run that was announced
+        self._present: _Participation | None = None  # in the run that is announced or on
         self._next: AnnouncedRun | None = None
-        self._logged: set[str] = set()  # problems of the run
+        self._last_key = ""  # of the last run that was announced
 
     # set-up, in this order
 
@@ -170,11 +176,14 @@ class Follower:
         """
 
         def take(message: Any) -> None:
-            if watch is not None and (self.run is None or not self.run.simulated):
+            present = self._present
+            if watch is not None and (present is None or not present.run.simulated):
                 watch(message)
-            if self.run is not None:
-                self.begin()
-                self.receive(topic)
+            if present is not None:
+                if not present.has_begun:
+                    self._begin(present)
+                present.streams.add(topic, None)
+                present.note_sign()
                 callback(message)
 
         self._followed.append(topic)
@@ -189,31 +198,40 @@ class Follower:
     # a run
 
     @property
+    def run(self) -> AnnouncedRun | None:
+        """The run that is announced or on, None without one."""
+        return None if self._present is None else self._present.run
+
+    @property
     def is_on(self) -> bool:
         """Whether a run has begun here."""
-        return self.run is not None and self._begun
+        return self._present is not None and self._present.has_begun
 
     @property
     def has_ended(self) -> bool:
         """Whether the announcer has ended the run; messages may be on their way."""
-        return self._ended
+        return self._present is not None and self._present.has_ended
 
     @property
     def was_cut(self) -> bool:
         """Whether the simulator has not reported the run as complete."""
-        cut = self._counts is None or not self._counts.complete
-        return self.run is not None and self.run.simulated and cut
+        present = self._present
+        if present is None or not present.run.simulated:
+            return False
+        return present.counts is None or not present.counts.complete
 
-    def begin(self) -> None:
-        """Begin the run, if that has not been done: its first message may come."""
-        if not self._begun and self.run is not None:
-            self._begun = True
-            self._part.begin(self.run)
+    def note_message(self) -> None:
+        """Note a message of the run besides those that are followed."""
+        if self._present is not None:
+            self._present.note_sign()
 
-    def receive(self, topic: Topic) -> None:
-        """Count a message of the run."""
-        self._received[topic.name] += 1
-        self._last_message = time.monotonic()
+    def fail(self, problem: str) -> None:
+        """Log a problem of the run that is on, once; the node will end with status 1."""
+        self._node.exit_status = FAILED
+        present = self._present
+        if present is not None and problem not in present.logged:
+            present.logged.add(problem)
+            self._node.get_logger().error(one_line(f"{present.run.name}: {problem}"))
 
     def work(self) -> int:
         """Take part in runs until the node is asked to end; return the exit status."""
@@ -221,139 +239,126 @@ class Follower:
         self._node.get_logger().info("ready, waiting for a run")
         while True:
             self._node.wait(lambda: self._next is not None)
-            self.run, self._next = self._next, None
-            assert self.run is not None
+            assert self._next is not None
+            self._present, self._next = _Participation(self._next, self._followed), None
             try:
-                self._take_part(self.run)
+                self._take_part(self._present)
             finally:
-                self.run = None
+                self._present = None
             gc.collect()
 
-    def _take_part(self, run: AnnouncedRun) -> None:
+    def _take_part(self, present: _Participation) -> None:
         """Join a run, follow it to its end and leave it."""
-        self._received.clear()
-        self._counts, self._ended, self._closed, self._begun = None, False, False, False
-        self._logged.clear()
-        interrupted = False
+        run, interrupted = present.run, False
         try:
             self._part.prepare(run)
-            self._await_participants(run)
-            end = self._await_end(run)
+            self._await_participants(present)
+            end = self._await_end(present)
         except CaptureSimError as error:
             if error is self._node.failure:
                 raise
             end = RunEnd(EndKind.CUT, str(error))
-            self._begun = False
+            present.has_begun = False
         except KeyboardInterrupt:
             interrupted = True
             is_own = run.info.announcer == self.roll.id  # no other node ends it
-            end = self._await_end(run, 0.0 if is_own else RUN_END_TIMEOUT)
+            end = self._await_end(present, 0.0 if is_own else RUN_END_TIMEOUT)
             if end.kind is EndKind.ABANDONED:
                 end = RunEnd(EndKind.REQUESTED, INTERRUPTED)
-        report = self._part.end(run, end) if self._begun else RunReport((end.reason,))
-        problems = [] if end.kind is EndKind.REQUESTED else report.problems
+        report = self._part.end(run, end) if present.has_begun else RunReport((end.reason,))
         if end.kind is EndKind.REQUESTED:
             self._node.get_logger().info(f"{run.name}: ended early: {end.reason}")
-        for problem in problems:
-            self.fail(problem)
+        else:
+            for problem in report.problems:
+                self.fail(problem)
         self.roll.report(DONE, run.info, report)
         if interrupted:
             raise KeyboardInterrupt
 
-    def fail(self, problem: str) -> None:
-        """Log a problem of the run that is on, once; the node will end with status 1."""
-        self._node.exit_status = FAILED
-        if self.run is not None and problem not in self._logged:
-            self._logged.add(problem)
-            self._node.get_logger().error(one_line(f"{self.run.name}: {problem}"))
-
-    def _await_participants(self, run: AnnouncedRun) -> None:
+    def _await_participants(self, present: _Participation) -> None:
         """Report that this node is ready, and wait until all others are; then begin."""
-        participants = list(run.info.participants)
-        self._node.wait(lambda: self._ended or self.roll.heard(participants), JOIN_TIMEOUT)
+        run, participants = present.run, list(present.run.info.participants)
+        self._node.wait(lambda: present.has_ended or self.roll.heard(participants), JOIN_TIMEOUT)
         self.roll.report(READY, run.info)
 
         def all_ready() -> bool:
-            return self._begun or self._ended or not self.roll.not_ready(run.key, participants)
+            is_late = present.has_begun or present.has_ended
+            return is_late or not self.roll.not_ready(run.key, participants)
 
         if not self._node.wait(all_ready, JOIN_TIMEOUT):
             names = ", ".join(self.roll.not_ready(run.key, participants))
             self._node.get_logger().warning(f"{run.name}: {names} has not joined the run")
-        self.begin()
+        self._begin(present)
 
-    def _await_end(self, run: AnnouncedRun, limit: float = math.inf) -> RunEnd:
+    def _begin(self, present: _Participation) -> None:
+        """Begin the run, if that has not been done: its first message may come."""
+        if not present.has_begun:
+            present.has_begun = True
+            self._part.begin(present.run)
+
+    def _await_end(self, present: _Participation, limit: float = math.inf) -> RunEnd:
         """Follow a run until it is over; return how it has ended."""
+
+        def is_over() -> bool:
+            return present.has_ended and present.streams.satisfied and self._part.is_complete()
+
+        present.note_sign()
         deadline = time.monotonic() + limit
-        gone_since = math.inf
-        while not self._node.wait(self._is_over, _POLL):
-            now = time.monotonic()
+        while not self._node.wait(is_over, POLL):
             if self._next is not None:
                 text = f"another run, {self._next.name}, was announced meanwhile"
                 return RunEnd(EndKind.ABANDONED, text)
-            if self._ended:
-                if now > self._last_message + DRAIN_TIMEOUT:
-                    missing = "; ".join(self.missing())
-                    return RunEnd(EndKind.MISSING, f"ended with messages missing: {missing}")
-            elif not self._closed and self.roll.is_present(run.info.announcer):
-                gone_since = math.inf
-            else:
-                gone_since = min(gone_since, now)
-                if now > max(gone_since, self._last_message) + GONE_TIMEOUT:
+            is_open = not (present.has_ended or present.is_closed)
+            if is_open and self.roll.is_present(present.run.info.announcer):
+                present.note_sign()
+            now = time.monotonic()
+            if now > present.last_sign + (DRAIN_TIMEOUT if present.has_ended else GONE_TIMEOUT):
+                if not present.has_ended:
                     text = "the simulator has gone without ending the run"
                     return RunEnd(EndKind.ABANDONED, text)
+                missing = "; ".join(present.streams.problems())
+                return RunEnd(EndKind.MISSING, f"ended with messages missing: {missing}")
             if now > deadline:
                 return RunEnd(EndKind.ABANDONED, "no end of the run")
-        if self._counts is None or self._counts.complete:
+        if present.counts is None or present.counts.complete:
             return RunEnd(EndKind.COMPLETE)
-        reason = str(self._counts.reason)
+        reason = str(present.counts.reason)
         requested = reason in {kind.value for kind in CutKind if kind.is_requested}
         requested = requested or (reason == INTERRUPTED and self._node.end_request.is_set())
         return RunEnd(EndKind.REQUESTED if requested else EndKind.CUT, reason)
 
-    def missing(self) -> list[str]:
-        """Return which of the followed streams lack messages that were sent, a line each."""
-        if self._counts is None:
-            return []
-        sent = dict(zip(self._counts.topics, self._counts.counts, strict=True))
-        return [
-            f"{topic.name}: {self._received[topic.name]} of {sent[topic.name]} messages received"
-            for topic in self._followed
-            if self._received[topic.name] < sent.get(topic.name, 0)
-        ]
-
-    def _is_over(self) -> bool:
-        return self._ended and not self.missing() and self._part.is_complete()
-
     # announcements
 
     def _hear_announcement(self, info: Any) -> None:
+        present = self._present
+        is_own = present is not None and info.announcer == present.run.info.announcer
         if not info.run_id:
-            run = self.run
-            if run is not None and info.announcer == run.info.announcer and not self._ended:
-                self._ended, self._closed = not run.simulated, True
-                self._last_message = time.monotonic()
+            if present is not None and is_own and not present.has_ended:
+                present.is_closed, present.has_ended = True, not present.run.simulated
+                present.note_sign()
             return
         if run_key(info) == self._last_key:
             return
         scene = _scene_of(info)
         if info.source not in self._sources or (
             info.source == RunSource.REPLAY
-            and self._has_streams
+            and has_streams(self._role)
             and self.roll.id not in info.participants
         ):
             self.roll.report_ignored(info, f"this node does not take part in a {info.source}")
-        elif self.run is not None and info.announcer != self.run.info.announcer:
-            self.roll.report_ignored(info, f"this node takes part in {self.run.name}")
+        elif present is not None and not is_own:
+            self.roll.report_ignored(info, f"this node takes part in {present.run.name}")
         else:
             self._last_key = run_key(info)
             self._next = AnnouncedRun(info, scene)
 
     def _hear_counts(self, counts: Any) -> None:
-        if len(counts.topics) != len(counts.counts):
-            raise MessageError(f"{len(counts.counts)} counts of {len(counts.topics)} topics")
-        if counts.publisher == SIMULATOR and self.run is not None and counts.run_id == self.run.id:
-            self._counts, self._ended = counts, True
-            self._last_message = time.monotonic()
+        sent, present = counts_of(counts), self._present
+        if present is None or (counts.publisher, counts.run_id) != (SIMULATOR, present.run.id):
+            return
+        present.streams.end(SIMULATOR, sent)
+        present.counts, present.has_ended = counts, True
+        present.note_sign()
 
     def assume(self, scene: Scene) -> None:
         """Take part in a trial that no node announces, until the node is asked to end."""

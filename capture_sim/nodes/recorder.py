@@ -211,7 +211,7 @@ class RecorderNode(BenchNode):
             self._first_after_end = self._first_after_end or now
             if now - self._first_after_end > OVERTAKING:
                 return
-        self._follower.receive(topic)
+        self._follower.note_message()
         self._write(topic, data)
 
     def _remapped(self) -> dict[Topic, str]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
+from capture_sim.errors import MessageError
 from capture_sim.messages.topics import Topic, topic_named
 
 
@@ -33,6 +35,13 @@ class TopicCount:
 
 #: Gaps that are remembered of each topic; further ones are only counted.
 MAX_GAPS = 100
+
+
+def counts_of(message: Any) -> dict[str, int]:
+    """Return the numbers of a StreamCounts, of any library, by topic; MessageError if it is odd."""
+    if len(message.topics) != len(message.counts):
+        raise MessageError(f"{len(message.topics)} topics and {len(message.counts)} counts")
+    return dict(zip(message.topics, map(int, message.counts), strict=True))
 
 
 class Completeness:

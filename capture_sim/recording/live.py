@@ -24,7 +24,7 @@ from capture_sim.messages.topics import (
     TOPICS,
     Topic,
 )
-from capture_sim.recording.completeness import Completeness, TopicCount
+from capture_sim.recording.completeness import Completeness, TopicCount, counts_of
 from capture_sim.recording.write import RunWriter
 
 #: Origin of a live recording, in the metadata record.
@@ -149,13 +149,11 @@ class LiveRecorder:
 
     def _take_counts(self, data: bytes) -> None:
         ended = decoded(STREAM_COUNTS, data)
-        if len(ended.topics) != len(ended.counts):
-            raise MessageError(f"{len(ended.topics)} topics and {len(ended.counts)} counts")
+        counts = counts_of(ended)
         if ended.run_id == self.run.run_id:  # else kept from an earlier run
             self._counts.setdefault(ended.publisher, data)
             if ended.extremes:
                 self._closing["extremes"] = ended.extremes
-            counts = dict(zip(ended.topics, ended.counts.tolist(), strict=True))
             self._completeness.end(
                 ended.publisher, counts, complete=ended.complete, reason=ended.reason
             )
