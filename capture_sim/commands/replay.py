@@ -17,7 +17,7 @@ from capture_sim.scene.quantities import Range
 DESCRIPTION = (
     "Publish the recorded messages with ROS 2, unchanged and with their timing, in the "
     "ROS_DOMAIN_ID of the environment. The services /player/pause and /player/resume "
-    "(std_srvs/Trigger) and the services of simulation_interfaces control the replay."
+    "(std_srvs/Trigger) control the replay."
 )
 EXAMPLE = "  capture-sim replay runs/tilt_0.mcap --rtf 0.1 --start 2.2"
 #: Nodes that can follow a played run.
