@@ -37,10 +37,9 @@ MESSAGE_COST = 150
 FLUSH_PERIOD = 0.5
 #: Period of the writing thread, s.
 WRITE_PERIOD = 0.05
-#: Seconds that take() waits while a stalled disk keeps the queue full.
-STALL_LIMIT = 10.0
-#: Seconds without a message written after which close() gives up: shorter than a node's shutdown.
-CLOSE_LIMIT = 5.0
+#: Seconds that a stalled disk is waited for, while the queue is full and while the file is closed:
+#: shorter than a node's shutdown, and than a simulator waits for a recorder that reads nothing.
+STALL_LIMIT = 5.0
 
 
 @dataclass(frozen=True)
@@ -205,7 +204,7 @@ class _WriteQueue:
                     lambda: not self._is_full or self._error is not None, STALL_LIMIT
                 )
             if self._is_full and self._error is None:
-                self._error = _stall_error(STALL_LIMIT)
+                self._error = _stall_error()
             self._check()
             self._waiting.append(message)
             self._bytes += len(message[1]) + MESSAGE_COST
@@ -221,8 +220,8 @@ class _WriteQueue:
             self._lock.notify_all()
         while self._thread.is_alive():
             self._thread.join(WRITE_PERIOD)
-            if time.monotonic() - self._last_written > CLOSE_LIMIT:
-                raise self._error or _stall_error(CLOSE_LIMIT)
+            if time.monotonic() - self._last_written > STALL_LIMIT:
+                raise self._error or _stall_error()
         self._check()
 
     @property
@@ -263,5 +262,5 @@ class _WriteQueue:
         writer.close()
 
 
-def _stall_error(limit: float) -> RecordingError:
-    return RecordingError(f"the disk wrote nothing for {limit:g} s: the recording ends there")
+def _stall_error() -> RecordingError:
+    return RecordingError(f"the disk wrote nothing for {STALL_LIMIT:g} s: the recording ends there")

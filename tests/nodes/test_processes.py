@@ -173,7 +173,7 @@ _STALLED_DISK = """
 import time
 from capture_sim.recording import live
 from capture_sim.recording.write import RunWriter
-live.STALL_LIMIT = live.CLOSE_LIMIT = 2.0
+live.STALL_LIMIT = 2.0
 write = RunWriter.write
 def stall(self, *message):
     if self.bag.span and self.bag.span[1] > 1_500_000_000:

@@ -459,17 +459,18 @@ def stalling_at(is_due, monkeypatch):
 def test_stalled_disk_is_reported_once_and_keeps_what_it_has(sent, tmp_path, monkeypatch):
     """The first call waits, every later one fails at once with the same line."""
     monkeypatch.setattr(live_module, "STALL_LIMIT", 0.3)
-    monkeypatch.setattr(live_module, "CLOSE_LIMIT", 0.3)
     stalled = stalling_at(lambda count, _: count == 1000, monkeypatch)
     recorder = record(tmp_path, sent[:1], queue_bytes=300_000)
     with pytest.raises(RecordingError, match=r"nothing for 0.3 s: the recording ends") as first:
         for topic, data in sent[1:]:
             recorder.take(topic, data)
-    monkeypatch.setattr(live_module, "STALL_LIMIT", 60.0)
-    for call in (lambda: recorder.take(*sent[1500]), recorder.close):
-        with pytest.raises(RecordingError) as later:
-            call()
-        assert later.value is first.value
+    monkeypatch.setattr(live_module, "STALL_LIMIT", 600.0)
+    with pytest.raises(RecordingError) as later:
+        recorder.take(*sent[1500])
+    monkeypatch.setattr(live_module, "STALL_LIMIT", 0.3)
+    with pytest.raises(RecordingError) as last:
+        recorder.close()
+    assert first.value is later.value is last.value
     assert sum(read_bag(tmp_path / f"{NAME}.mcap").topics.values()) == 1000
     stalled.set()
 
@@ -502,7 +503,7 @@ def test_disk_that_fills_stops_the_live_recorder(sent, tmp_path):
 
 def test_close_gives_up_a_disk_that_stalls(sent, tmp_path, monkeypatch):
     """It neither hangs nor loses what the disk has taken."""
-    monkeypatch.setattr(live_module, "CLOSE_LIMIT", 0.3)
+    monkeypatch.setattr(live_module, "STALL_LIMIT", 0.3)
     counts = sum(topic is STREAM_COUNTS for topic, _ in sent)
     stalled = stalling_at(lambda _, topic: topic is STREAM_COUNTS, monkeypatch)
     recorder = record(tmp_path, sent)
@@ -515,7 +516,7 @@ def test_close_gives_up_a_disk_that_stalls(sent, tmp_path, monkeypatch):
 
 
 def test_a_slow_disk_is_waited_for_as_long_as_it_writes(sent, tmp_path, monkeypatch):
-    monkeypatch.setattr(live_module, "CLOSE_LIMIT", 1.5)  # s, longer than a busy machine pauses
+    monkeypatch.setattr(live_module, "STALL_LIMIT", 1.5)  # s, longer than a busy machine pauses
     write = RunWriter.write
 
     def write_slowly(writer, *message):
