@@ -39,6 +39,14 @@ class LaunchPlan(NamedTuple):
     contact_time: float  # expected first touch, s after the release; ``inf`` if there is none
     travel: float  # of the chaser from the release to the first touch, m; ``inf`` if there is none
 
+    @property
+    def text(self) -> str:
+        """The launch in words."""
+        how = "no string"
+        if self.hanging_mass > 0.0:
+            how = f"{self.hanging_mass:.6g} kg at {self.drop_height:.6g} m"
+        return f"{how} for {self.impact_speed:.6g} m/s"
+
 
 #: Fields that the tip's place at the release depends on.
 TIP_AT_RELEASE = (

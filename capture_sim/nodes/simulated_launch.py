@@ -31,8 +31,6 @@ NUMBERS = {
     CONTACT_STATE: ("in_touch", "touches"),
     CHASER_ODOMETRY: ("pose.pose.position.x", "pose.pose.position.y"),
 }
-#: Largest number of stamps that wait for the rest of their topics; the oldest is dropped then.
-MOST_WAITING = 1000
 
 
 class SimulatedLaunch:
@@ -90,10 +88,7 @@ class SimulatedLaunch:
         launcher, plan = self._launcher, self._launcher.plan
         self._node.publish(self._telemetry.command(0.0, LaunchAction.ARM, plan))
         self._node.publish(*self._telemetry.status(0.0, launcher.status))
-        how, speed = "no string", f"{plan.impact_speed:.6g} m/s"
-        if plan.hanging_mass > 0.0:
-            how = f"{plan.hanging_mass:.6g} kg at {plan.drop_height:.6g} m"
-        self._node.get_logger().info(f"{run.name}: armed, {how} for {speed}")
+        self._node.get_logger().info(f"{run.name}: armed, {plan.text}")
         if self._auto_release:
             self._release()
 
@@ -123,8 +118,6 @@ class SimulatedLaunch:
             # each topic comes in the order of its stamps: an older set has lost a message
             self._parts = {other: kept for other, kept in self._parts.items() if other > stamp}
             self._observe(stamp, parts)
-        elif len(self._parts) > MOST_WAITING:
-            del self._parts[min(self._parts)]
 
     def _observe(self, stamp: int, parts: dict[Topic, Any]) -> None:
         assert self._launcher is not None

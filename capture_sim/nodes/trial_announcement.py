@@ -106,11 +106,7 @@ class TrialAnnouncement:
         self._announced = Announcement(self._node, self._roll, run)
         self._telemetry = LauncherTelemetry(self._node.messages, run.run_id)
         self._roll.report(READY, run)
-        plan = self.trial.launcher.plan
-        how = "no string"
-        if plan.hanging_mass > 0.0:
-            how = f"{plan.hanging_mass:.6g} kg at {plan.drop_height:.6g} m"
-        self._node.get_logger().info(f"{goal.name}: {how} for {plan.impact_speed:.6g} m/s")
+        self._node.get_logger().info(f"{goal.name}: {self.trial.launcher.plan.text}")
 
     def _close(self) -> None:
         """Send the counts of the launcher's messages, and that no run is on."""
