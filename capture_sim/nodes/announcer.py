@@ -11,14 +11,12 @@ from rclpy.qos import ReliabilityPolicy
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.topics import ROLL, RUN_INFO, STREAM_COUNTS, RunSource
-from capture_sim.nodes.endpoints import full_name
+from capture_sim.nodes.endpoints import DISCOVERY_TIME, full_name
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.roll import Part, Roll, RunReport, node_of, run_key
 
 #: After a run the participants get this long to close their files, s (wall).
 END_TIMEOUT = 60.0
-#: A node of the user's is there once its subscriptions have not changed for this long, s (wall).
-SETTLING_TIME = 0.3
 #: What is waited for is logged after this long, then at growing intervals, s (wall).
 _REPORT_PERIOD = 2.0
 
@@ -192,7 +190,10 @@ class Announcer:
         return _listed("to start", [name for name in others if not self._is_reading(name)])
 
     def _is_reading(self, name: str) -> bool:
-        """Return True if a node that is not on the roll is matched with all that it reads."""
+        """Return True if a node that is not on the roll is matched with all that it reads.
+
+        Its subscriptions then have not changed for :data:`DISCOVERY_TIME`.
+        """
         if any(_is_named(node, name) for node in self._node.nodes_that_publish(ROLL)):
             return False
         count, matched = 0, True
@@ -209,7 +210,7 @@ class Announcer:
             if count:
                 self._warn_of_best_effort(name)
             self._subscriptions[name], self._changed = count, now
-        return count > 0 and matched and now > self._changed + SETTLING_TIME
+        return count > 0 and matched and now > self._changed + DISCOVERY_TIME
 
     def _warn_of_best_effort(self, name: str) -> None:
         for topic in self._node.outbox.topics:

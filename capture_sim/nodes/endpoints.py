@@ -12,6 +12,11 @@ from rclpy.serialization import deserialize_message
 from capture_sim.errors import MessageError
 from capture_sim.messages.topics import CLOCK, Rate, Topic
 
+#: A node that is there is discovered, and its subscriptions are, within this long, s (wall), as a
+#: rule: on a busy machine it can be seconds.
+DISCOVERY_TIME = 0.3
+#: A message that has been sent arrives within this long, s (wall), unless its reader is stalled.
+TRANSIT_TIME = 0.5
 #: The last message, for subscribers that come later.
 TRANSIENT_LOCAL = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 

@@ -27,6 +27,7 @@ from capture_sim.messages.topics import (
     RunSource,
     Topic,
 )
+from capture_sim.nodes.endpoints import TRANSIT_TIME
 from capture_sim.nodes.node import POLL, BenchNode
 from capture_sim.nodes.roll import DONE, READY, Roll, RunReport, has_streams, run_key
 from capture_sim.nodes.start import FAILED
@@ -38,9 +39,8 @@ from capture_sim.scene.quantities import shown
 JOIN_TIMEOUT = 10.0
 #: s (wall) without a message, after which an ended run is closed as incomplete.
 DRAIN_TIMEOUT = 5.0
-#: Messages that were on their way when the announcer left are waited for this long, s (wall).
-GONE_TIMEOUT = 0.5
-#: Ctrl-C mostly ends all nodes at once: the end of the run is waited for this long, s (wall).
+#: Ctrl-C mostly ends all nodes at once: the end of the run is waited for this long, and of a trial
+#: its recording and the client that asks for its result, s (wall).
 RUN_END_TIMEOUT = 3.0
 #: Why a run ends that Ctrl-C ended.
 INTERRUPTED = "interrupted"
@@ -312,7 +312,7 @@ class Follower:
             if is_open and self.roll.is_present(present.run.info.announcer):
                 present.note_sign()
             now = time.monotonic()
-            if now > present.last_sign + (DRAIN_TIMEOUT if present.has_ended else GONE_TIMEOUT):
+            if now > present.last_sign + (DRAIN_TIMEOUT if present.has_ended else TRANSIT_TIME):
                 if not present.has_ended:
                     text = "the simulator has gone without ending the run"
                     return RunEnd(EndKind.ABANDONED, text)

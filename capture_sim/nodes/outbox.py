@@ -13,7 +13,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.topics import Topic
-from capture_sim.nodes.endpoints import full_name, message_class, qos_of
+from capture_sim.nodes.endpoints import TRANSIT_TIME, full_name, message_class, qos_of
 
 #: How a reader's full queue shows in rclpy's error; every other one is an error.
 FULL_QUEUE = "cannot publish data"
@@ -26,8 +26,6 @@ MATCHING_TIMEOUT = 1.0
 #: Nodes are asked for a sign of life so often, and get so long each time, s (wall): the response to
 #: a client that a node has just met may be lost.
 ASKED, RESPONSE = 4, 0.3
-#: Last messages get this long to arrive before a process ends, s (wall).
-LAST_DRAIN = 0.5
 #: Queues and acknowledgements are looked at this often, s (wall).
 _POLL = 0.001
 
@@ -99,7 +97,7 @@ class Outbox:
         """Wait until all that was sent has arrived, ``limit`` s (wall) at most.
 
         Return the topics of which something has not; after the request to end the wait is at most
-        :data:`LAST_DRAIN`.
+        :data:`TRANSIT_TIME`.
         """
         deadline = time.monotonic() + limit
         left = dict(self._senders)
@@ -109,7 +107,7 @@ class Outbox:
             left = {topic: s for topic, s in left.items() if not s.wait_for_all_acked(slice_)}
             now = time.monotonic()
             if self._node.end_request.is_set():
-                deadline = min(deadline, now + LAST_DRAIN)
+                deadline = min(deadline, now + TRANSIT_TIME)
             if not left or now > deadline:
                 return list(left)
             time.sleep(_POLL)

@@ -23,8 +23,8 @@ from rclpy.signals import SignalHandlerOptions
 from capture_sim.errors import CaptureSimError, one_line
 from capture_sim.interrupts import STOP, end_within, leave_if_busy, watch_signals
 from capture_sim.nodes import dds
+from capture_sim.nodes.endpoints import TRANSIT_TIME
 from capture_sim.nodes.node import BenchNode, named_end_error
-from capture_sim.nodes.outbox import LAST_DRAIN
 from capture_sim.nodes.start import FAILED, OK, REFUSAL, REFUSED
 from capture_sim.resources import config_dir
 
@@ -110,7 +110,7 @@ def live(node: BenchNode) -> int:
         log.debug("".join(traceback.format_exception(error)))
         status = FAILED
     node.report_rejections()
-    node.outbox.drain(LAST_DRAIN)
+    node.outbox.drain(TRANSIT_TIME)
     return status
 
 

@@ -28,7 +28,7 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.endpoints import from_bytes, is_own
+from capture_sim.nodes.endpoints import TRANSIT_TIME, from_bytes, is_own
 from capture_sim.nodes.follower import AnnouncedRun, EndKind, Follower, RunEnd
 from capture_sim.nodes.node import LOOK_UP_PERIOD, BenchNode
 from capture_sim.nodes.process import run
@@ -37,9 +37,6 @@ from capture_sim.nodes.sources import SourceDiagnostics
 from capture_sim.nodes.start import RECORDING_IN
 from capture_sim.recording.live import LiveRecorder, RecordingReport
 
-#: Measurements of a bench that come so shortly after the end of its trial are recorded, ns (wall):
-#: they may have reached the detector before it.
-OVERTAKING = 500_000_000
 #: What is recorded later too: the last messages of the participants.
 AFTER_END = {STREAM_COUNTS, *topics_of(LAUNCHER), *topics_of(CAPTURE_DETECTOR)}
 
@@ -68,7 +65,7 @@ class RecorderNode(BenchNode):
         self._sought = {name for name in names if name not in known}
         self._recorder: LiveRecorder | None = None  # of the run that is on
         self._failure = ""  # of the disk: why the recording ended before the run
-        self._first_after_end: int | None = None  # ns (wall), arrival of the first measurement
+        self._first_after_end: float | None = None  # s (wall), arrival of the first measurement
         self._follower = Follower(self, RECORDER, self, list(RunSource))
         self._sources = SourceDiagnostics(self)
         self._kept: dict[Topic, bytes] = {}  # last message of transient-local topics of others
@@ -207,9 +204,10 @@ class RecorderNode(BenchNode):
         ):
             return
         if self._follower.has_ended and not self.run.simulated and topic not in AFTER_END:
-            now = time.time_ns()
+            # what reached the detector before the end may come later here
+            now = time.monotonic()
             self._first_after_end = self._first_after_end or now
-            if now - self._first_after_end > OVERTAKING:
+            if now > self._first_after_end + TRANSIT_TIME:
                 return
         self._follower.note_message()
         self._write(topic, data)

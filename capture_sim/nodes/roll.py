@@ -21,10 +21,8 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from capture_sim.errors import one_line
 from capture_sim.messages.topics import ROLL, RunSource, topics_of
 from capture_sim.nodes.endpoints import message_class
-from capture_sim.nodes.node import BenchNode
+from capture_sim.nodes.node import POLL, BenchNode
 
-#: Which nodes are there is looked up this often, s (wall): the look-up costs 0.1 ms.
-PRESENCE_PERIOD = 0.1
 #: A node that has just joined the roll is heard within this long, s (wall).
 HEARING_TIMEOUT = 2.0
 FREE, READY, DONE = 0, 1, 2
@@ -228,7 +226,7 @@ class Roll:
 
     def _nodes(self) -> Counter[str]:
         now = time.monotonic()
-        if now > self._looked + PRESENCE_PERIOD:
+        if now > self._looked + POLL:  # a look-up costs 0.1 ms
             self._looked = now
             self._present = Counter(self._node.nodes_that_publish(ROLL))
         return self._present

@@ -12,10 +12,8 @@ from collections.abc import Callable
 from typing import Any
 
 from capture_sim.control.simulation import Code, Reply, SimulationControl
+from capture_sim.nodes.endpoints import TRANSIT_TIME
 from capture_sim.nodes.node import BenchNode
-
-#: A reply arrives within this long, s (wall).
-REPLY_TIMEOUT = 0.5
 
 
 def definitions() -> str:
@@ -45,7 +43,7 @@ class SimulationServices:
 
     def close(self) -> None:
         """Give the last reply time to arrive."""
-        time.sleep(max(0.0, self._replied_at + REPLY_TIMEOUT - time.monotonic()))
+        time.sleep(max(0.0, self._replied_at + TRANSIT_TIME - time.monotonic()))
 
     def _get_state(self, _: Any, response: Any) -> Any:
         response.state.state = int(self._control.state)

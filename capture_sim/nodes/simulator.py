@@ -38,6 +38,7 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.nodes.announcer import Announcer
 from capture_sim.nodes.diagnostics import SimulatorDiagnostics
+from capture_sim.nodes.endpoints import DISCOVERY_TIME
 from capture_sim.nodes.follower import INTERRUPTED
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
@@ -51,8 +52,6 @@ from capture_sim.nodes.stepping import Stepping
 from capture_sim.results import extremes_to_text
 from capture_sim.scene.parts import Scene
 
-#: Another simulator in the domain is heard of within this long after a start, s (wall), as a rule.
-DISCOVERY = 0.3
 #: A paced simulator hands its GIL over this often, s: Python's own 5 ms would make ticks late.
 SWITCH_INTERVAL = 2e-4
 
@@ -238,7 +237,7 @@ class SimulatorNode(BenchNode):
         self._compile()
         sys.setswitchinterval(SWITCH_INTERVAL)
         self.freeze_objects()
-        self.wait(limit=max(0.0, self.created + DISCOVERY - time.monotonic()))
+        self.wait(limit=max(0.0, self.created + DISCOVERY_TIME - time.monotonic()))
         status = OK
         try:
             while True:

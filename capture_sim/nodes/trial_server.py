@@ -51,6 +51,7 @@ from capture_sim.messages.topics import (
     topics_of,
 )
 from capture_sim.nodes.endpoints import TRANSIENT_LOCAL, full_name, message_class, qos_of
+from capture_sim.nodes.follower import RUN_END_TIMEOUT
 from capture_sim.nodes.launch_settings import LaunchSettings
 from capture_sim.nodes.node import LOOK_UP_PERIOD, BenchNode
 from capture_sim.nodes.requested_scene import load_requested
@@ -68,8 +69,6 @@ FEEDBACK_PERIOD = 0.1
 BOOL = "std_msgs/msg/Bool"
 #: Name of a node that DDS does not know, or not any more.
 UNKNOWN = "_NODE_NAME_UNKNOWN_"
-#: After Ctrl-C a trial gets this long to close its recording, its client to ask for it, s (wall).
-SHUTDOWN_TIMEOUT = 3.0
 #: What measures, by sensor.
 MEASURES = {
     Sensor.CHASER: (CHASER_POSE, CHASER_ODOMETRY),
@@ -344,7 +343,7 @@ class TrialServer:
             self._follow(handle, run)
         except KeyboardInterrupt:
             trial.cancel(INTERRUPTED)
-            self._follow(handle, run, SHUTDOWN_TIMEOUT)
+            self._follow(handle, run, RUN_END_TIMEOUT)
             raise
         except Exception as error:
             trial.failure = f"launcher failed: {error}"
@@ -418,7 +417,7 @@ class TrialServer:
         """Send the last result at the node's end, though its client may yet have to ask for it."""
         if self._handle is not None:
             self._refuse(INTERRUPTED)
-        deadline = time.monotonic() + SHUTDOWN_TIMEOUT
+        deadline = time.monotonic() + RUN_END_TIMEOUT
         while self._awaited != self._goal_id and time.monotonic() < deadline:
             self._node.serve(TICK)
         response = self._node.executor.create_task(lambda: None)  # behind that which sends it
