@@ -26,7 +26,7 @@ from capture_sim.messages.topics import (
     topics_of,
 )
 from capture_sim.nodes.announcer import Announcer
-from capture_sim.nodes.endpoints import message_class
+from capture_sim.nodes.endpoints import DISCOVERY_TIME, message_class
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run as run_process
@@ -82,9 +82,6 @@ class PlayerNode(BenchNode):
         )
         self._start_timeout = self.declare(
             "start_timeout", 60.0, "s (wall), wait for the nodes in wait_for", low=1.0, high=86400.0
-        )
-        self._delay = self.declare(
-            "delay", 1.0, "s (wall), for subscribers to be found", low=0.0, high=3600.0
         )
         self._playback = Playback(path, dict(map(remap_of, remaps)))
         length = (self._playback.end - self._playback.start) / 1e9
@@ -189,7 +186,7 @@ class PlayerNode(BenchNode):
         if self._wait_for:
             self._announcer.await_nodes(name, self._start_timeout)
         else:
-            self.wait(limit=self._delay)
+            self.wait(limit=DISCOVERY_TIME)
         cast = self._announcer.cast(
             lambda part: not part.has_streams or any(map(part.is_called, self._wait_for))
         )

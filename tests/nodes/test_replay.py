@@ -175,7 +175,7 @@ def bench_bag(path, tmp_path_factory):
 
 
 def test_nothing_played_is_a_failure(bench_bag, start):
-    options = {"bag": bench_bag, "topics": "[/target/odom]", "rtf": 0.0, "delay": 0.0}
+    options = {"bag": bench_bag, "topics": "[/target/odom]", "rtf": 0.0}
     player = start("player", **options)
     assert player.status() == 1, player.text
     assert "nothing was played" in player.text
@@ -198,7 +198,7 @@ def test_pause_resume_and_latched_topics(path, start):
 
     with Client() as client:
         states, announced = client.listen(BENCH_STATE), client.listen(RUN_INFO)
-        player = start("player", count, bag=path, paused="true", rtf=0.2, delay=0.1)
+        player = start("player", count, bag=path, paused="true", rtf=0.2)
 
         def ask(name):
             return client.ask(Trigger, f"/player/{name}").success

@@ -88,7 +88,7 @@ def test_simulator_and_replay_let_nothing_go(start, client, tmp_path):
     def play_both(*, beside_a_trial=False):
         simulator = start("simulator", overrides="[run.t_end=1.0]", rtf=0.0)
         assert simulator.status() == int(beside_a_trial), simulator.text
-        player = start("player", bag=recording, rtf=0.0, delay=0.5)
+        player = start("player", bag=recording, rtf=0.0)
         assert player.status() == int(beside_a_trial), player.text
         for node in (simulator, player):
             line = "in a trial of a real bench: nothing else may publish"
