@@ -125,7 +125,10 @@ def test_detector_comes_to_the_same_verdict_and_nothing_is_lost(path, tmp_path):
     played = [topic for topic in TOPICS if CAPTURE_DETECTOR not in topic.publishers]
     for topic in played:
         if topic.name != "bench/run_info":
-            assert two.raw(topic.name) == [padded(data) for data in one.raw(topic.name)], topic.name
+            # of a state, one may be replaced by the next on its way
+            first = -1 if topic.holds_state else 0
+            recorded = [padded(data) for data in one.raw(topic.name)]
+            assert two.raw(topic.name)[first:] == recorded[first:], topic.name
     # announced as recorded, but for who announces it and who takes part
     announced = [dict(run.columns("bench/run_info")) for run in (one, two)]
     assert announced[1]["source"].tolist() == ["replay"]
