@@ -120,13 +120,13 @@ class _Stream:
         """Messages made so far, by topic name."""
         return {topic.name: count for topic, count in self.by_topic.items()}
 
-    def end(self, *, complete: bool = True, reason: str = "", extremes: str = "") -> Sent:
-        """Return the counts of all streams, which end the run."""
+    def end(self, reason: str = "", extremes: str = "") -> Sent:
+        """Return the counts of all streams, which end the run; ``reason``: why before its time."""
         counts = self._messages.stream_counts(
             self.publisher,
             self._run_id,
             self.counts,
-            complete=complete,
+            complete=not reason,
             reason=reason,
             extremes=extremes,
         )
@@ -230,8 +230,8 @@ class BenchTelemetry(_Stream):
         samples: np.ndarray,
         events: Iterable[Event] = (),
         trace: np.ndarray | None = None,
-    ) -> Iterator[Sent]:
-        """Yield the messages of the next samples, and of new events and trace samples, in order.
+    ) -> Iterator[list[Sent]]:
+        """Yield the messages of each of the next samples, with new events and trace, in order.
 
         Events and trace later than the last sample wait for the next block.
         """
@@ -247,15 +247,15 @@ class BenchTelemetry(_Stream):
         sensed = self._sensed(samples)
         states = self._many(topics.BENCH_STATE, samples["t"], WORLD, convert.bench_states(samples))
         for i, (t, state) in enumerate(zip(times, states, strict=True)):
-            for event in before.get(i, ()):
-                yield self._event(event)
-            yield state
+            due = [self._event(event) for event in before.get(i, ())]
+            due.append(state)
             if len(self._trace):
                 # a step that ends with the sample itself may be known only later
-                yield from self._traced(t, self._trace["t"].searchsorted(t))
+                due += self._traced(t, self._trace["t"].searchsorted(t))
             if i in periodic:
-                yield from next(sets)
-            yield from next(sensed, ())
+                due += next(sets)
+            due += next(sensed, ())
+            yield due
 
     def rest(self) -> Iterator[Sent]:
         """Yield the events and trace after the last sample."""

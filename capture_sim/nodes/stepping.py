@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from capture_sim.bench import Bench, drive
 from capture_sim.control.simulation import RunCut, SimulationControl
-from capture_sim.messages.telemetry import BenchTelemetry, Sent
-from capture_sim.messages.topics import BENCH_EVENT, BENCH_STATE, Topic
+from capture_sim.messages.telemetry import BenchTelemetry
+from capture_sim.messages.topics import Topic
 
 #: Samples that the core computes at a time stand for no more wall time than this, s ...
 BLOCK_TIME = 0.01
@@ -45,7 +45,7 @@ class Stepping:
         try:
             for piece in drive(self.bench, block=self._block):
                 block = self._telemetry.block(piece.samples, piece.events, piece.trace)
-                for sample, due in zip(piece.samples, _by_sample(block), strict=True):
+                for sample, due in zip(piece.samples, block, strict=True):
                     self._control.tick(float(sample["t"]))
                     for topic, _, data in due:
                         sent[topic] += send(topic, data)
@@ -77,17 +77,3 @@ class Stepping:
             shown = ", ".join(f"{1e6 * value:.0f}" for value in late)
             text += f"; ticks late by {shown} us (p50, p99, p99.9, max)"
         return text
-
-
-def _by_sample(block: Iterable[Sent]) -> Iterator[list[Sent]]:
-    """Yield the messages of each sample, made before it is due: events, state, the rest."""
-    due: list[Sent] = []
-    ended = False  # the state is among it
-    for sent in block:
-        if ended and (sent[0] is BENCH_STATE or sent[0] is BENCH_EVENT):
-            yield due
-            due, ended = [], False
-        due.append(sent)
-        ended = ended or sent[0] is BENCH_STATE
-    if due:
-        yield due

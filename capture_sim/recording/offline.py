@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 from uuid import uuid4
@@ -147,7 +148,8 @@ def run_stream(result: Run, run: RunDescription) -> Iterator[Sent]:
     events, trace = iter([result.events]), iter([result.trace])
     for first in range(0, len(samples), BLOCK):
         block = samples[first : first + BLOCK]
-        for sent in bench.block(block, next(events, ()), next(trace, None)):
+        made = bench.block(block, next(events, ()), next(trace, None))
+        for sent in chain.from_iterable(made):
             yield sent
             if sent.topic is bench.LAST_PERIODIC:
                 yield from next(launched)
@@ -155,14 +157,13 @@ def run_stream(result: Run, run: RunDescription) -> Iterator[Sent]:
                 while waiting and waiting[0] <= t:
                     waiting.popleft()
                     yield from next(statuses)
-    complete, reason = not result.failure, result.failure
     yield from bench.rest()
-    yield bench.end(complete=complete, reason=reason)
-    yield follower.end(complete=complete, reason=reason)
+    yield bench.end(result.failure)
+    yield follower.end(result.failure)
     for undelivered in statuses:
         yield from undelivered
     yield from detector.status(verdict.t, verdict)
-    yield detector.end(complete=complete, reason=reason)
+    yield detector.end(result.failure)
 
 
 def _launched(

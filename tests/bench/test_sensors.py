@@ -1,6 +1,7 @@
 """What the sensors of a scene make of the truth."""
 
 import math
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -137,7 +138,7 @@ def stream(scene, sizes):
     for k in range(10_000):
         size = sizes[k % len(sizes)]
         samples = bench.advance(bench.times(first, size))
-        for topic, _, data in telemetry.block(samples):
+        for topic, _, data in chain.from_iterable(telemetry.block(samples)):
             if topic in (CHASER_POSE, TARGET_POSE, LOAD_CELL):
                 sent.append((topic.name, data))
         first += size

@@ -8,6 +8,7 @@ import math
 import operator
 import re
 from collections import Counter
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -246,7 +247,8 @@ def test_stream_does_not_depend_on_how_the_run_is_cut(result, run):
         k = seen = traced = 0
         while not bench.done:
             samples = bench.advance(bench.times(k, size))
-            sent += telemetry.block(samples, bench.events[seen:], bench.trace[traced:])
+            made = telemetry.block(samples, bench.events[seen:], bench.trace[traced:])
+            sent += chain.from_iterable(made)
             k, seen, traced = k + size, len(bench.events), len(bench.trace)
         return [*sent, *telemetry.rest(), telemetry.end()]
 
@@ -329,13 +331,13 @@ def test_rclpy_reads_what_was_sent(result, run):
             DetectorTelemetry(make, "r"),
         )
         yield bench.begin()
-        yield from bench.block(result.samples, result.events, result.trace)
+        yield from chain.from_iterable(bench.block(result.samples, result.events, result.trace))
         yield launcher.command(0.0, LaunchAction.ARM, plan)
         yield from launcher.status(0.1, Launcher(result.scene).status)
         yield detector.begin(result.scene.detector)
         for messages in detector.statuses((s.t, s) for s in result.statuses[::50]):
             yield from messages
-        yield detector.end(complete=False, reason="é")
+        yield detector.end("é")
 
     seen = Counter()
     for message in sent():
