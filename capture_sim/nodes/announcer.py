@@ -13,7 +13,7 @@ from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.topics import ROLL, RUN_INFO, STREAM_COUNTS, RunSource
 from capture_sim.nodes.endpoints import DISCOVERY_TIME, full_name
 from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.roll import Part, Roll, RunReport, node_of, run_key
+from capture_sim.nodes.roll import Part, Roll, RunReport, has_streams, node_of, run_key
 
 #: After a run the participants get this long to close their files, s (wall).
 END_TIMEOUT = 60.0
@@ -28,7 +28,7 @@ class Cast:
         self.participants = tuple(sorted(part.id for part in parts))
         self.roles = tuple(sorted({part.role for part in parts}))
         #: Roles that have streams of their own: their counts end the run too.
-        self.publishers = tuple(sorted({part.role for part in parts if part.has_streams}))
+        self.publishers = tuple(sorted({part.role for part in parts if has_streams(part.role)}))
 
 
 class Announcement:
@@ -47,11 +47,11 @@ class Announcement:
 
     def not_joined(self) -> str:
         """Return which participants have yet to join the run; empty if all have."""
-        return _listed("to join the run", self._roll.not_ready(self.key, self._participants()))
+        return self._pending("to join the run", lambda part: part.is_ready(self.key))
 
     def not_left(self) -> str:
         """Return which participants have yet to leave the run."""
-        return _listed("to end the run", self._roll.not_done(self.key, self._participants()))
+        return self._pending("to end the run", lambda part: part.is_done(self.key))
 
     def parts(self) -> list[Part]:
         """Return the participants that have been heard."""
@@ -66,9 +66,10 @@ class Announcement:
         """Announce that no run is on; its description stays for later subscribers."""
         self._send(replace(self.run, run_id=""))
 
-    def _participants(self) -> list[str]:
+    def _pending(self, for_what: str, has: Callable[[Part], bool]) -> str:
         dropped = self._node.outbox.dropped
-        return [id_ for id_ in self.run.participants if node_of(id_) not in dropped]
+        participants = [id_ for id_ in self.run.participants if node_of(id_) not in dropped]
+        return _listed(for_what, self._roll.pending(participants, has))
 
     def _send(self, run: RunDescription) -> None:
         messages = self._node.messages

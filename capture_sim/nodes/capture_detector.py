@@ -28,7 +28,7 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd
+from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd, RunPart
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError, declare_scene
 from capture_sim.nodes.process import run
@@ -47,7 +47,7 @@ SOURCES_TIMEOUT = 3.0
 CRITERION = {field.name: field for field in fields(Detector)}
 
 
-class CaptureDetectorNode(BenchNode):
+class CaptureDetectorNode(BenchNode, RunPart):
     """Publishes a status for every instant at which the poses were measured.
 
     docs/detection.md explains the criteria.
@@ -112,7 +112,7 @@ class CaptureDetectorNode(BenchNode):
                 f"{n} = {v:g} {CRITERION[n].metadata['unit']}" for n, v in criteria.items()
             )
             self.get_logger().info(f"{run.name}: evaluated by {given}; else by the scene")
-        if run.source is RunSource.TRIAL and run.info.announcer != self._follower.roll.id:
+        if run.info.source == RunSource.TRIAL and run.info.announcer != self._follower.roll.id:
             self._await_sources(run.name)
 
     def _await_sources(self, name: str) -> None:
@@ -140,10 +140,6 @@ class CaptureDetectorNode(BenchNode):
         del run
         self.publish(self._telemetry.begin(self._criteria_in_force))
 
-    def is_complete(self) -> bool:
-        """Return True: besides its streams the detector waits for nothing."""
-        return True
-
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Send the final verdict, and report how much was sent."""
         statuses = self._detector.finish(cut=self._follower.was_cut)
@@ -152,8 +148,8 @@ class CaptureDetectorNode(BenchNode):
         self.get_logger().info(f"{run.name}: {verdict.label}, {verdict.reason}")
         if verdict.not_used:
             self.get_logger().warning(f"{run.name}: measurements not used: {verdict.not_used}")
-        self.publish(self._telemetry.end(complete=not end.reason, reason=end.reason))
-        return RunReport((end.reason,) if end.reason else ())
+        self.publish(self._telemetry.end(end.reason))
+        return end.report
 
     def _declare_criteria(self) -> None:
         """Declare the scene's criteria as parameters, with their units and ranges.

@@ -13,7 +13,7 @@ import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 from capture_sim.control.simulation import CutKind
@@ -63,6 +63,11 @@ class RunEnd:
     kind: EndKind
     reason: str = ""
 
+    @property
+    def report(self) -> RunReport:
+        """What a node reports that lacks no more than the end says."""
+        return RunReport((self.reason,) if self.reason else ())
+
 
 @dataclass(frozen=True)
 class AnnouncedRun:
@@ -77,19 +82,9 @@ class AnnouncedRun:
         return str(self.info.run_id)
 
     @property
-    def key(self) -> str:
-        """Key of the run in the roll."""
-        return run_key(self.info)
-
-    @property
     def name(self) -> str:
         """The run's name."""
         return str(self.info.name)
-
-    @property
-    def source(self) -> RunSource:
-        """Who announces it."""
-        return RunSource(self.info.source)
 
     @cached_property
     def simulated(self) -> bool:
@@ -108,6 +103,7 @@ class RunPart(Protocol):
 
     def is_complete(self) -> bool:
         """Return True if, after the followed streams, nothing else is waited for."""
+        return True
 
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """End the run: publish the rest, close files, report missing messages."""
@@ -278,15 +274,20 @@ class Follower:
     def _await_participants(self, present: _Participation) -> None:
         """Report that this node is ready, and wait until all others are; then begin."""
         run, participants = present.run, list(present.run.info.participants)
-        self._node.wait(lambda: present.has_ended or self.roll.heard(participants), JOIN_TIMEOUT)
+        pending = partial(self.roll.pending, participants)
+        is_late = lambda: present.has_begun or present.has_ended  # noqa: E731
+        self._node.wait(lambda: is_late() or not pending(), JOIN_TIMEOUT)
         self.roll.report(READY, run.info)
+        key = run_key(run.info)
 
-        def all_ready() -> bool:
-            is_late = present.has_begun or present.has_ended
-            return is_late or not self.roll.not_ready(run.key, participants)
+        def not_ready() -> list[str]:
+            return pending(lambda part: part.is_ready(key))
 
-        if not self._node.wait(all_ready, JOIN_TIMEOUT):
-            names = ", ".join(self.roll.not_ready(run.key, participants))
+        def may_begin() -> bool:
+            return present.has_begun or present.has_ended or not not_ready()
+
+        if not self._node.wait(may_begin, JOIN_TIMEOUT):
+            names = ", ".join(not_ready())
             self._node.get_logger().warning(f"{run.name}: {names} has not joined the run")
         self._begin(present)
 
@@ -309,7 +310,7 @@ class Follower:
                 text = f"another run, {self._next.name}, was announced meanwhile"
                 return RunEnd(EndKind.ABANDONED, text)
             is_open = not (present.has_ended or present.is_closed)
-            if is_open and self.roll.is_present(present.run.info.announcer):
+            if is_open and self.roll.is_there(present.run.info.announcer):
                 present.note_sign()
             now = time.monotonic()
             if now > present.last_sign + (DRAIN_TIMEOUT if present.has_ended else TRANSIT_TIME):

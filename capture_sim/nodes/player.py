@@ -30,7 +30,7 @@ from capture_sim.nodes.endpoints import DISCOVERY_TIME, message_class
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run as run_process
-from capture_sim.nodes.roll import Roll
+from capture_sim.nodes.roll import Roll, has_streams
 from capture_sim.nodes.start import FAILED, OK
 from capture_sim.recording.bag import remap_of
 from capture_sim.recording.playback import Playback, PlayedCounts, publisher_of, replayed
@@ -188,7 +188,7 @@ class PlayerNode(BenchNode):
         else:
             self.wait(limit=DISCOVERY_TIME)
         cast = self._announcer.cast(
-            lambda part: not part.has_streams or any(map(part.is_called, self._wait_for))
+            lambda part: not has_streams(part.role) or any(map(part.is_called, self._wait_for))
         )
         skipped = self._playback.skipped(self._offset, self._outlets)
         adapt_counts = PlayedCounts(cast.publishers, skipped)

@@ -29,7 +29,7 @@ from capture_sim.messages.topics import (
     topics_of,
 )
 from capture_sim.nodes.endpoints import TRANSIT_TIME, from_bytes, is_own
-from capture_sim.nodes.follower import AnnouncedRun, EndKind, Follower, RunEnd
+from capture_sim.nodes.follower import AnnouncedRun, EndKind, Follower, RunEnd, RunPart
 from capture_sim.nodes.node import LOOK_UP_PERIOD, BenchNode
 from capture_sim.nodes.process import run
 from capture_sim.nodes.roll import RunReport
@@ -41,7 +41,7 @@ from capture_sim.recording.live import LiveRecorder, RecordingReport
 AFTER_END = {STREAM_COUNTS, *topics_of(LAUNCHER), *topics_of(CAPTURE_DETECTOR)}
 
 
-class RecorderNode(BenchNode):
+class RecorderNode(BenchNode, RunPart):
     """Writes messages to one MCAP file a run, and checks at the end that none is missing."""
 
     def __init__(self, **options: Any) -> None:
@@ -108,9 +108,6 @@ class RecorderNode(BenchNode):
         self.get_logger().info(f"{run.name}: {RECORDING_IN}{recorder.path}")
         for topic, data in self._kept.items():
             self._write(topic, data)
-
-    def begin(self, run: AnnouncedRun) -> None:
-        """Publish nothing: a recorder has no stream."""
 
     def is_complete(self) -> bool:
         """Return True if all publishers have ended the run and all their messages have come."""

@@ -59,11 +59,6 @@ class Part:
         return number_of(self.id)
 
     @property
-    def has_streams(self) -> bool:
-        """True if nodes of this role have streams of their own, whose counts end a run too."""
-        return has_streams(self.role)
-
-    @property
     def is_in_trial(self) -> bool:
         """True if the node takes part in a trial of a real bench now."""
         return self.state == READY and self.source == RunSource.TRIAL
@@ -92,7 +87,7 @@ def number_of(participant: str) -> str:
 
 
 def has_streams(role: str) -> bool:
-    """Return True if a role publishes streams, besides the counts of streams."""
+    """Return True if a role publishes streams, whose counts end a run too."""
     return len(topics_of(role)) > 1
 
 
@@ -131,6 +126,7 @@ class Roll:
         self._sources = [str(source) for source in sources]
         self._on_part = on_part
         self._is_listed = is_listed
+        self._seen: set[str] = set()  # participants that have been there
         self._present: Counter[str] = Counter()  # publishers of the roll, by node
         self._looked = -1.0
         if is_listed:
@@ -157,31 +153,33 @@ class Roll:
         )
         self._node.send(ROLL, message)
 
-    def heard(self, participants: Sequence[str]) -> bool:
-        """Return True if all of these that are there have been heard: this node reads them all."""
-        return all(
-            id_ in self.parts or id_ == self.id or not self._is_there(id_) for id_ in participants
-        )
+    def pending(
+        self, participants: Sequence[str], has: Callable[[Part], bool] = lambda part: True
+    ) -> list[str]:
+        """Return the nodes that have not been heard, or whose part ``has`` is not true of.
 
-    def not_ready(self, run: str, participants: Sequence[str]) -> list[str]:
-        """Return the nodes that have yet to join a run, without nodes that have left."""
-        return self._pending(participants, lambda part: part.is_ready(run))
-
-    def not_done(self, run: str, participants: Sequence[str]) -> list[str]:
-        """Return the nodes that have yet to leave a run."""
-        return self._pending(participants, lambda part: part.is_done(run))
+        A node that was there and has left is not waited for; one that never was may not have been
+        discovered yet, or its name may be unknown still.
+        """
+        return [
+            node_of(id_)
+            for id_ in participants
+            if not (id_ in self.parts and has(self.parts[id_]))
+            and (self.is_there(id_) or id_ not in self._seen)
+            and id_ != self.id
+        ]
 
     def free(self, source: RunSource) -> list[Part]:
         """Return the parts of nodes that are there, in no run, and take part in such runs."""
         return [
             part
             for part in self.parts.values()
-            if part.state != READY and str(source) in part.sources and self._is_there(part.id)
+            if part.state != READY and str(source) in part.sources and self.is_there(part.id)
         ]
 
     def in_trials(self) -> list[str]:
         """Return the nodes that take part in a trial of a real bench now."""
-        return [p.node for p in self.parts.values() if p.is_in_trial and self._is_there(p.id)]
+        return [p.node for p in self.parts.values() if p.is_in_trial and self.is_there(p.id)]
 
     def await_heard(self) -> None:
         """Wait until all nodes that publish on the roll have been heard, for a while at most."""
@@ -200,29 +198,18 @@ class Roll:
             text = f"{who} announces {info.name} ({info.source}): ignored, {reason}"
             self._node.get_logger().warning(one_line(text))
 
-    def is_present(self, participant: str) -> bool:
-        """Return True if a participant, by its id, is still there."""
-        return participant == self.id or self._is_there(participant)
-
-    def _pending(self, participants: Sequence[str], has: Callable[[Part], bool]) -> list[str]:
-        missing = [
-            id_
-            for id_ in participants
-            if id_ != self.id and not (id_ in self.parts and has(self.parts[id_]))
-        ]
-        return [node_of(id_) for id_ in missing if self._is_there(id_)]
-
-    def _is_there(self, participant: str) -> bool:
+    def is_there(self, participant: str) -> bool:
         """Return True if a participant's publisher is there; of namesakes the newest are."""
         name = node_of(participant)
         count = self._nodes()[name] - (
             self._is_listed and name == self._node.get_fully_qualified_name()
         )
         namesakes = [part.id for part in self.parts.values() if part.node == name]
-        if participant in namesakes:
-            namesakes = namesakes[max(0, len(namesakes) - count) :]
-            return participant in namesakes
-        return count > 0
+        present = namesakes[max(0, len(namesakes) - count) :]
+        is_there = participant in present or (count > 0 and participant not in namesakes)
+        if is_there:
+            self._seen.add(participant)
+        return is_there or participant == self.id
 
     def _nodes(self) -> Counter[str]:
         now = time.monotonic()

@@ -20,7 +20,7 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd
+from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd, RunPart
 from capture_sim.nodes.launch_settings import LaunchSettings
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.roll import RunReport
@@ -33,7 +33,7 @@ NUMBERS = {
 }
 
 
-class SimulatedLaunch:
+class SimulatedLaunch(RunPart):
     """Sends ARM and RELEASE, the launcher's state with every periodic sample, and ABORT.
 
     The decisions are those of :class:`capture_sim.launch.watch.Launcher`.
@@ -92,15 +92,11 @@ class SimulatedLaunch:
         if self._auto_release:
             self._release()
 
-    def is_complete(self) -> bool:
-        """Return True: besides its streams the launcher waits for nothing."""
-        return True
-
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Report the counts."""
         del run
-        self._node.publish(self._telemetry.end(complete=not end.reason, reason=end.reason))
-        return RunReport((end.reason,) if end.reason else ())
+        self._node.publish(self._telemetry.end(end.reason))
+        return end.report
 
     def _release(self) -> None:
         assert self._launcher is not None

@@ -366,7 +366,7 @@ class SimulatorNode(BenchNode):
         for sent in telemetry.rest():
             self.publish(sent)
         self._announcer.await_read()
-        self.publish(telemetry.end(complete=not reason, reason=reason, extremes=extremes))
+        self.publish(telemetry.end(reason, extremes))
 
     def _await_participants(self, name: str) -> str:
         """Wait until the other nodes have received and written the run; return their failures."""

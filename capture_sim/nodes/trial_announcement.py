@@ -112,7 +112,7 @@ class TrialAnnouncement:
         """Send the counts of the launcher's messages, and that no run is on."""
         assert self._announced is not None
         failure = self.trial.failure
-        self._node.publish(self._telemetry.end(complete=not failure, reason=failure))
+        self._node.publish(self._telemetry.end(failure))
         self._announced.close()
         self._roll.report(DONE, self._announced.run, RunReport((failure,) if failure else ()))
         self._is_closed = True

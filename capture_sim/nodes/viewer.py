@@ -32,7 +32,7 @@ from capture_sim.messages.topics import (
     Topic,
 )
 from capture_sim.nodes.endpoints import from_bytes
-from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd
+from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd, RunPart
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run
@@ -48,7 +48,7 @@ EXTRA_TOPICS = (CONTACT_STATE, CONTACT_WRENCH, STRING_STATE)
 _UNKNOWN = (math.nan, math.nan, math.nan)
 
 
-class ViewerNode(BenchNode):
+class ViewerNode(BenchNode, RunPart):
     """Shows every announced run live in rerun, or a bench that announces none.
 
     docs/looking_at_runs.md lists the parameters.
@@ -119,13 +119,6 @@ class ViewerNode(BenchNode):
         self._unannounced = False
         self._scene = run.scene
         self._start(run.name)
-
-    def begin(self, run: AnnouncedRun) -> None:
-        """Publish nothing."""
-
-    def is_complete(self) -> bool:
-        """Return True: what is missing is not waited for."""
-        return True
 
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Show the rest of the run; that something was not shown is no failure."""
