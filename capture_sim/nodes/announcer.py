@@ -118,6 +118,7 @@ class Announcer:
 
         CaptureSimError if one that the run has to wait for does not join it.
         """
+        self._is_on = True
         self._announcement = on = Announcement(self._node, self._roll, run, data)
         try:
             self.await_none(run.name, on.not_joined, self._node.outbox.reader_timeout)

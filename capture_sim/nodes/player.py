@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -12,7 +11,6 @@ from std_srvs.srv import Trigger
 
 from capture_sim.control.pacing import FACTORS, Pacer
 from capture_sim.control.simulation import SimulationControl, State
-from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.topics import (
     CAPTURE_DETECTOR,
     HOLD,
@@ -180,7 +178,7 @@ class PlayerNode(BenchNode):
     def _play(self) -> int:
         """Play; return how many messages were played."""
         name = self._playback.path.name
-        count: Counter[str] = Counter()
+        count = 0
         stamp = self._playback.start
         self._control.begin()
         if self._wait_for:
@@ -192,21 +190,19 @@ class PlayerNode(BenchNode):
         )
         skipped = self._playback.skipped(self._offset, self._outlets)
         adapt_counts = PlayedCounts(cast.publishers, skipped)
-        run: RunDescription | None = None
+        known = {topic_name: topic_named(topic_name) for topic_name in self._outlets}
         is_ended = False  # the simulator's counts have been played
         self._control.pacer.reset()
         for stamp, topic_name, data in self._playback.messages(self._offset, self._outlets):
             self._control.tick((stamp - self._playback.start) / 1e9)
-            topic = topic_named(topic_name)
+            topic = known[topic_name]
             if topic is RUN_INFO:
-                if run is not None:
-                    self._await_done(run, is_ended)
-                run, announcement = replayed(
-                    data, self._roll.id, cast.participants, cast.publishers
-                )
+                self._end_run(is_ended)
                 is_ended = False
-                self._announcer.announce(run, announcement)
-                count[topic_name] += 1
+                self._announcer.announce(
+                    *replayed(data, self._roll.id, cast.participants, cast.publishers)
+                )
+                count += 1
                 continue
             if topic is STREAM_COUNTS:
                 adapted = adapt_counts(data)
@@ -214,24 +210,22 @@ class PlayerNode(BenchNode):
                     continue
                 is_ended = is_ended or publisher_of(data) == SIMULATOR
                 data = adapted
-            count[topic_name] += 1
+            count += 1
             self._outlets[topic_name](data)
         # measured before the others close their files
         spent = max(self._control.pacer.wall, 1e-9)
         self._control.pacer.pause()
         self._announcer.await_read()
-        if run is not None:
-            self._await_done(run, is_ended)
+        self._end_run(is_ended)
         played = (stamp - self._playback.start) / 1e9 - self._offset
-        messages = count.total()
         self.get_logger().info(
-            f"{messages} messages, {played:.2f} s played in {spent:.2f} s "
+            f"{count} messages, {played:.2f} s played in {spent:.2f} s "
             f"({played / spent:.2f} x real time)"
         )
-        return messages
+        return count
 
-    def _await_done(self, run: RunDescription, is_ended: bool) -> None:
-        """Wait until the participants have left the run, which counts may have ended."""
+    def _end_run(self, is_ended: bool) -> None:
+        """Wait until the participants have left the run that is on, which counts may have ended."""
         if not is_ended:  # a bench's trial, or a recording without its end
             self._announcer.close()
         self._announcer.await_done()

@@ -5,6 +5,12 @@ subscription of the roll are the last that a node creates.  DDS announces them i
 node that has a message of another's roll is matched with it in both directions: the other knows all
 its subscriptions, and it knows all publishers of the other.  A node is ready when it has a message
 of each participant; the first message of a run is sent when all are ready, so no node misses it.
+
+A run, for the node that announces it: wait for nodes; RunInfo; all participants ready; messages;
+the counts of a simulator, or, after a trial, a RunInfo without run; all participants done; a
+RunInfo without run.  For a participant: RunInfo; get ready; hear all others; ready; begin with the
+last one that is ready, or the first message; the announcer's end; the last missing message; done.
+No node waits for a participant that has left.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ from capture_sim.nodes.requested_scene import load_requested
 from capture_sim.nodes.robot_model import RobotModel
 from capture_sim.nodes.roll import Part, Roll, number_of
 from capture_sim.nodes.services import SimulationServices
-from capture_sim.nodes.start import FAILED, OK
+from capture_sim.nodes.start import FAILED
 from capture_sim.nodes.stepping import Stepping
 from capture_sim.results import extremes_to_text
 from capture_sim.scene.parts import Scene
@@ -62,14 +62,6 @@ class RunOutcome:
 
     failure: str = ""
     cut: CutKind | None = None
-
-
-@dataclass(frozen=True)
-class PassOutcome:
-    """How a pass through all scenes has ended."""
-
-    all_run: bool
-    failed: bool = False
 
 
 class LauncherLink:
@@ -238,24 +230,22 @@ class SimulatorNode(BenchNode):
         sys.setswitchinterval(SWITCH_INTERVAL)
         self.freeze_objects()
         self.wait(limit=max(0.0, self.created + DISCOVERY_TIME - time.monotonic()))
-        status = OK
         try:
             while True:
                 self.wait(lambda: self.control.state is not State.STOPPED)
                 if self.control.state is State.QUITTING:
                     break
-                outcome = self._run_all()
-                status = FAILED if outcome.failed else status
-                if outcome.all_run and self._exit_when_done:
+                all_run = self._run_all()
+                if all_run and self._exit_when_done:
                     break
-                if outcome.all_run and self.control.state is State.STOPPED:
+                if all_run and self.control.state is State.STOPPED:
                     self.get_logger().info(
                         "all runs finished; set the state to playing to repeat them, or press "
                         "Ctrl-C to exit"
                     )
         finally:
             self._simulation_services.close()
-        return status
+        return self.exit_status
 
     def _compile(self) -> None:
         """Load the kernels; compile them if this version never was, and log how far that is."""
@@ -274,23 +264,22 @@ class SimulatorNode(BenchNode):
             compile_kernels(announce=False)
         self.get_logger().info(f"compiled in {time.monotonic() - began:.0f} s")
 
-    def _run_all(self) -> PassOutcome:
-        """Run the scenes in turn."""
-        failed = False
+    def _run_all(self) -> bool:
+        """Run the scenes in turn; return False if a request has ended that."""
         for scene in self._scenes:
-            cut: CutKind | None = CutKind.RESET
-            while cut is CutKind.RESET:
+            outcome, failed = RunOutcome(cut=CutKind.RESET), False
+            while outcome.cut is CutKind.RESET:
                 if self.control.state in (State.STOPPED, State.QUITTING):
-                    return PassOutcome(all_run=False, failed=failed)
+                    return False
                 outcome = self._run_scene(scene)
-                cut = outcome.cut
                 failed = failed or bool(outcome.failure) or self._has_dropped_participants()
-            if cut in (CutKind.STOPPED, CutKind.QUITTING):
-                return PassOutcome(all_run=False, failed=failed)
+                self.exit_status = FAILED if failed else self.exit_status
+            if outcome.cut in (CutKind.STOPPED, CutKind.QUITTING):
+                return False
             if failed and (not self._exit_when_done or self._has_dropped_participants()):
                 break  # somebody ought to look first
         self.control.finish()
-        return PassOutcome(all_run=True, failed=failed)
+        return True
 
     def _has_dropped_participants(self) -> bool:
         """Return True if a reader was dropped that takes part in runs."""
