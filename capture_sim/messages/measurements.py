@@ -27,14 +27,12 @@ from capture_sim.scene.parts import Scene
 Planar = tuple[float, float, float]
 
 #: What a bench without simulator may measure; of each source the first topic that comes is used.
-OF_A_BENCH = {
-    CHASER_ODOMETRY: Source.CHASER,
-    CHASER_POSE: Source.CHASER,
-    TARGET_ODOMETRY: Source.TARGET,
-    TARGET_POSE: Source.TARGET,
-    BUFFER_STATE: Source.BUFFER,
-    JOINT_STATES: Source.BUFFER,
+TOPICS_OF_SOURCE = {
+    Source.CHASER: (CHASER_POSE, CHASER_ODOMETRY),
+    Source.TARGET: (TARGET_POSE, TARGET_ODOMETRY),
+    Source.BUFFER: (JOINT_STATES, BUFFER_STATE),
 }
+OF_A_BENCH = {topic: source for source, topics in TOPICS_OF_SOURCE.items() for topic in topics}
 
 
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")

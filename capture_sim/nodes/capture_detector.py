@@ -14,20 +14,14 @@ from capture_sim.detection.detector import CaptureDetector
 from capture_sim.detection.measurements import REORDER, Source
 from capture_sim.errors import SceneError
 from capture_sim.messages.convert import EPOCH_NS, rejected
-from capture_sim.messages.measurements import OF_A_BENCH, DetectorInput, MeasurementReader
-from capture_sim.messages.telemetry import DetectorTelemetry
-from capture_sim.messages.topics import (
-    BUFFER_STATE,
-    CAPTURE_DETECTOR,
-    CHASER_ODOMETRY,
-    CHASER_POSE,
-    JOINT_STATES,
-    TARGET_ODOMETRY,
-    TARGET_POSE,
-    RunSource,
-    Topic,
-    topics_of,
+from capture_sim.messages.measurements import (
+    OF_A_BENCH,
+    TOPICS_OF_SOURCE,
+    DetectorInput,
+    MeasurementReader,
 )
+from capture_sim.messages.telemetry import DetectorTelemetry
+from capture_sim.messages.topics import CAPTURE_DETECTOR, RunSource, Topic, topics_of
 from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd, RunPart
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError, declare_scene
@@ -36,11 +30,6 @@ from capture_sim.nodes.roll import RunReport
 from capture_sim.nodes.sources import SourceDiagnostics
 from capture_sim.scene.parts import Detector
 
-#: Topics that are read of a simulator or a bench.
-READ = (
-    *(CHASER_ODOMETRY, TARGET_ODOMETRY, CHASER_POSE, TARGET_POSE),
-    *(BUFFER_STATE, JOINT_STATES),
-)
 #: A trial begins without measurements after this long, s (wall), e.g. where cameras see the cone
 #: alone.
 SOURCES_TIMEOUT = 3.0
@@ -67,13 +56,10 @@ class CaptureDetectorNode(BenchNode, RunPart):
             "evaluate by this scene from the start, for a bench where no node announces runs; "
             "empty to wait for a run",
         )
-        self._readers = {topic: MeasurementReader(topic) for topic in READ}
+        self._readers = {topic: MeasurementReader(topic) for topic in OF_A_BENCH}
         self._follower = Follower(self, CAPTURE_DETECTOR, self, list(RunSource))
-        self._by_source: dict[Source, list[Topic]] = {}
-        for topic, source in OF_A_BENCH.items():
-            self._by_source.setdefault(source, []).append(topic)
         self._sources = SourceDiagnostics(self)
-        for topics in self._by_source.values():
+        for topics in TOPICS_OF_SOURCE.values():
             self._sources.watch(*topics)
         for topic in self._readers:
             take, watch = (partial(f, topic) for f in (self._receive_measurement, self._diagnose))
@@ -126,11 +112,11 @@ class CaptureDetectorNode(BenchNode, RunPart):
             names = " or ".join(topic.name for topic in topics)
             self.get_logger().warning(f"{name}: no measurement of {names} yet")
 
-    def _unseen(self) -> list[list[Topic]]:
+    def _unseen(self) -> list[tuple[Topic, ...]]:
         """Return the topics of each source that is needed and has sent nothing lately."""
         return [
             topics
-            for source, topics in self._by_source.items()
+            for source, topics in TOPICS_OF_SOURCE.items()
             if not any(map(self._sources.is_fresh, topics))
             and (source is not Source.BUFFER or any(map(self.nodes_that_publish, topics)))
         ]

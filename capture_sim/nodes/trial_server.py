@@ -34,19 +34,13 @@ from capture_sim.launch.watch import Launcher
 from capture_sim.messages.cdr import Numbers
 from capture_sim.messages.convert import stamp_in
 from capture_sim.messages.definitions import typestore
-from capture_sim.messages.measurements import MeasurementReader
+from capture_sim.messages.measurements import TOPICS_OF_SOURCE, MeasurementReader
 from capture_sim.messages.topics import (
-    BUFFER_STATE,
     CAPTURE_VERDICT,
-    CHASER_ODOMETRY,
-    CHASER_POSE,
     HOLD,
-    JOINT_STATES,
     LAUNCHER,
     LOAD_CELL,
     RUN_INFO,
-    TARGET_ODOMETRY,
-    TARGET_POSE,
     Topic,
     topics_of,
 )
@@ -70,11 +64,7 @@ BOOL = "std_msgs/msg/Bool"
 #: Name of a node that DDS does not know, or not any more.
 UNKNOWN = "_NODE_NAME_UNKNOWN_"
 #: What measures, by sensor.
-MEASURES = {
-    Sensor.CHASER: (CHASER_POSE, CHASER_ODOMETRY),
-    Sensor.TARGET: (TARGET_POSE, TARGET_ODOMETRY),
-    Sensor.BUFFER: (JOINT_STATES, BUFFER_STATE),
-}
+MEASURES = {Sensor(source.value): topics for source, topics in TOPICS_OF_SOURCE.items()}
 INTERRUPTED = "launcher interrupted"
 
 
