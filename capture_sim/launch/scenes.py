@@ -34,7 +34,7 @@ from capture_sim.scene.files import (
     read_scene,
 )
 from capture_sim.scene.parts import Scene, as_mapping, as_name
-from capture_sim.scene.quantities import refuse
+from capture_sim.scene.quantities import refuse, shown
 from capture_sim.scene.remembered import depends_on
 
 #: Between a scene's title and the list of its changes.
@@ -83,6 +83,20 @@ def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
         except SceneError as error:
             raise SceneError(f"{path.name}: {error}") from None
     return _changed(data, overrides)
+
+
+def load_requested(text: str, overrides: Overrides = (), folder: Path | None = None) -> Scene:
+    """Load a scene that is requested over the network, see :func:`load_scene`.
+
+    ``text`` is the name of a file in ``folder`` or of a packaged scene, or YAML text.  SceneError
+    for a path: a request must not read files of this machine.
+    """
+    if "\n" in text:
+        return load_scene_text(text, overrides)
+    name = text.removesuffix(".yaml")
+    if "/" in name or name.endswith((".yaml", ".yml")):
+        raise SceneError(f"scene = {shown(text)}: must be a packaged scene's name, or YAML text")
+    return load_scene(find_scene(name, folder), overrides)
 
 
 def load_scene_text(text: str, overrides: Overrides = ()) -> Scene:

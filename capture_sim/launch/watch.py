@@ -12,6 +12,7 @@ from typing import NamedTuple
 from capture_sim.launch.plan import LaunchPlan, plan_launch, rolling_force
 from capture_sim.samples import Named
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import Range, quantity
 
 #: A first touch may always be late by this much, s.
 GRACE = 0.5
@@ -95,6 +96,24 @@ class LaunchObservation(NamedTuple):
     unseen: str = ""  # why the speed at the first touch is unknown
 
 
+@dataclass
+class LaunchSettings:
+    """Settings of a launch that can change while the launcher runs; see :class:`Launcher`."""
+
+    tolerance: float = quantity(
+        "1",
+        Range(0.01, 10.0),
+        default=0.2,
+        doc="share of the planned impact speed by which the chaser's speed may deviate",
+    )
+    aborts: bool = quantity(
+        "",
+        default=True,
+        doc="abort a launch that differs from its plan: speed beyond speed_tolerance by 5 "
+        "standard deviations, or contact too late; false only warns",
+    )
+
+
 class Launcher:
     """Follows one launch from arming to the first contact; without a string it only lets go.
 
@@ -105,7 +124,9 @@ class Launcher:
     (:func:`is_predicted`).
     """
 
-    def __init__(self, scene: Scene, tolerance: float = 0.2, *, aborts: bool = True) -> None:
+    def __init__(
+        self, scene: Scene, tolerance: float = LaunchSettings.tolerance, *, aborts: bool = True
+    ) -> None:
         self.plan = plan_launch(scene)
         self.tolerance, self.aborts, self.deviation = tolerance, aborts, ""
         self._scene = scene

@@ -9,8 +9,8 @@ from rclpy.parameter import Parameter
 
 from capture_sim.files import why_no_folder
 from capture_sim.launch.interlocks import TrialLimits
+from capture_sim.launch.watch import LaunchSettings
 from capture_sim.messages.topics import LAUNCHER
-from capture_sim.nodes.launch_settings import LaunchSettings
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError, declare_scene
 from capture_sim.nodes.process import run

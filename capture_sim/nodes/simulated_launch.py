@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from capture_sim.launch.watch import Launcher, LauncherPhase, LaunchObservation
+from capture_sim.launch.watch import Launcher, LauncherPhase, LaunchObservation, LaunchSettings
 from capture_sim.messages.cdr import Numbers
 from capture_sim.messages.convert import LaunchAction, StringPhase, stamp_seconds
 from capture_sim.messages.definitions import typestore
@@ -21,7 +21,6 @@ from capture_sim.messages.topics import (
     topics_of,
 )
 from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd, RunPart
-from capture_sim.nodes.launch_settings import LaunchSettings
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.roll import RunReport
 

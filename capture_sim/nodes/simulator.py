@@ -23,7 +23,7 @@ from capture_sim.errors import CaptureSimError, MessageError
 from capture_sim.files import why_no_folder
 from capture_sim.kernels import is_compiled
 from capture_sim.launch.plan import LaunchPlan, plan_launch
-from capture_sim.launch.scenes import load_scene
+from capture_sim.launch.scenes import load_requested, load_scene
 from capture_sim.messages.convert import LaunchAction, RunDescription
 from capture_sim.messages.telemetry import BenchTelemetry
 from capture_sim.messages.topics import (
@@ -43,7 +43,6 @@ from capture_sim.nodes.follower import INTERRUPTED
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run
-from capture_sim.nodes.requested_scene import load_requested
 from capture_sim.nodes.robot_model import RobotModel
 from capture_sim.nodes.roll import Part, Roll, number_of
 from capture_sim.nodes.services import SimulationServices

@@ -24,13 +24,14 @@ from capture_sim.detection.criteria import CaptureState
 from capture_sim.errors import CaptureSimError, one_line
 from capture_sim.launch.hold import HoldOutput, HoldReaders
 from capture_sim.launch.interlocks import Interlocks, Sensor, TrialLimits
+from capture_sim.launch.scenes import load_requested
 from capture_sim.launch.trial import (
     Trial,
     TrialGoal,
     TrialPhase,
     TrialStep,
 )
-from capture_sim.launch.watch import Launcher
+from capture_sim.launch.watch import Launcher, LaunchSettings
 from capture_sim.messages.cdr import Numbers
 from capture_sim.messages.convert import stamp_in
 from capture_sim.messages.definitions import typestore
@@ -46,9 +47,7 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.nodes.endpoints import TRANSIENT_LOCAL, full_name, message_class, qos_of
 from capture_sim.nodes.follower import RUN_END_TIMEOUT
-from capture_sim.nodes.launch_settings import LaunchSettings
 from capture_sim.nodes.node import LOOK_UP_PERIOD, BenchNode
-from capture_sim.nodes.requested_scene import load_requested
 from capture_sim.nodes.roll import Roll
 from capture_sim.nodes.trial_announcement import TrialAnnouncement
 from capture_sim.scene.parts import Scene
