@@ -114,15 +114,11 @@ class Pacer:
         """Simulated seconds per second so far, without pauses."""
         return self._simulated / max(self.wall, 1e-9)
 
-    def late_ticks(self, limit: float) -> int:
-        """Return how many of the ticks that are kept came later than ``limit``, s."""
-        # a copy: an array cannot grow while NumPy has a view of it
-        return int(np.count_nonzero(np.frombuffer(bytes(self._late)) > limit))
-
     def lateness(self, last: int | None = None) -> Lateness | None:
         """Return how late the ticks came, all or the ``last`` ones; None before the first."""
         kept = self._late if last is None else self._late[-last:]
         if not kept:
             return None
+        # a copy: an array cannot grow while NumPy has a view of it
         values = np.percentile(np.frombuffer(bytes(kept)), [50.0, 99.0, 99.9, 100.0])
         return Lateness(*(float(value) for value in values))

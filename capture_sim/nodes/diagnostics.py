@@ -111,12 +111,10 @@ class SimulatorDiagnostics:
         self._diagnostics.publish(Status("stepping", level, text, values))
 
     def _figures(self, stepping: Stepping, *, whole: bool) -> tuple[Level, str, dict[str, str]]:
-        scene, statistics = stepping.bench.scene, stepping.bench.statistics
-        pacer = self._control.pacer
+        scene, pacer = stepping.bench.scene, self._control.pacer
         factor, achieved = pacer.factor, pacer.achieved
         fresh, self._ticks = pacer.ticks - self._ticks, pacer.ticks
         lateness = pacer.lateness(None if whole else fresh) if fresh or whole else None
-        period = 1.0 / (scene.run.state_rate * factor) if factor > 0.0 else 0.0
         values = {
             "experiment": scene.name,
             "figures of": "the whole run" if whole else f"the last {PERIOD:g} s",
@@ -125,11 +123,8 @@ class SimulatorDiagnostics:
             "real-time factor requested": f"{factor:g}",
             "real-time factor achieved": f"{achieved:.6f}",
             "ticks": f"{pacer.ticks}",
-            "late ticks (more than a period)": f"{pacer.late_ticks(period)}" if whole else "",
             "skipped [s]": f"{pacer.skipped_delay:.6f}",
-            "integrator steps": f"{statistics.steps}",
-            "integrator steps rejected": f"{statistics.rejected}",
-            "evaluations": f"{statistics.evaluations}",
+            "integrator steps": f"{stepping.bench.statistics.steps}",
             "energy residual [J]": f"{stepping.residual:.3e}",
         }
         if lateness is not None:
