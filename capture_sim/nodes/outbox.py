@@ -13,7 +13,13 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.topics import Topic
-from capture_sim.nodes.endpoints import TRANSIT_TIME, full_name, message_class, qos_of
+from capture_sim.nodes.endpoints import (
+    DISCOVERY_TIME,
+    TRANSIT_TIME,
+    full_name,
+    message_class,
+    qos_of,
+)
 
 #: How a reader's full queue shows in rclpy's error; every other one is an error.
 FULL_QUEUE = "cannot publish data"
@@ -23,9 +29,8 @@ DROPPED_DEPTH = 1000
 DROPPED_RATE = 4000.0
 #: A new publisher waits this long for the readers of the one it replaces, s (wall).
 MATCHING_TIMEOUT = 1.0
-#: Nodes are asked for a sign of life so often, and get so long each time, s (wall): the response to
-#: a client that a node has just met may be lost.
-ASKED, RESPONSE = 4, 0.3
+#: Nodes are asked for a sign of life so often: a response to a client just met may be lost.
+ASKED = 4
 #: Queues and acknowledgements are looked at this often, s (wall).
 _POLL = 0.001
 
@@ -146,11 +151,11 @@ class Outbox:
         clients = {n: self._node.create_client(kind, f"{n}/list_parameters") for n in names}
         answers: dict[str, list[Any]] = {name: [] for name in names}
         for _ in range(ASKED):
-            self._node.wait(limit=RESPONSE)
+            self._node.wait(limit=DISCOVERY_TIME)
             for name, client in clients.items():
                 if client.service_is_ready():
                     answers[name].append(client.call_async(kind.Request()))
-        self._node.wait(limit=RESPONSE)
+        self._node.wait(limit=DISCOVERY_TIME)
         for client in clients.values():
             self._node.destroy_client(client)
         return [n for n, sent in answers.items() if sent and not any(a.done() for a in sent)]
