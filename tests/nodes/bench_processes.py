@@ -17,7 +17,11 @@ from tests.nodes.bench_client import (
     wait_until,
 )
 
-__all__ = ["Client", "Simulation", "Started", "fresh", "processes", "statuses", "wait_until"]
+__all__ = ["Client", "Simulation", "Started", "fresh", "leave", "processes"]
+__all__ += ["statuses", "wait_until"]
+
+#: A node that is asked to end has ended by itself long before, s.
+END_TIMEOUT = 30.0
 
 
 @dataclass
@@ -88,7 +92,22 @@ def processes(begin=fresh):
     try:
         yield start
     finally:
-        for node in started:
-            if node.process.poll() is None:
-                node.process.kill()
-            node.process.wait()
+        leave(started)
+
+
+def leave(nodes):
+    """End nodes that still run, stopped ones too, as Ctrl-C does.
+
+    The other participants of the domain would keep killed ones for 6 s, and they find no more than
+    32.
+    """
+    left = [node.process for node in nodes if node.process.poll() is None]
+    for process in left:
+        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGCONT)
+    for process in left:
+        try:
+            process.wait(END_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

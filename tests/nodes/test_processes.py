@@ -7,10 +7,11 @@ import subprocess
 import sys
 import textwrap
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from bench_processes import Client, Started, fresh, processes, statuses, wait_until
+from bench_processes import Client, Started, fresh, leave, processes, statuses, wait_until
 from forked import Forked
 from rig_session import FakeRig, Goal, actions_of, rig
 
@@ -69,14 +70,23 @@ def disturbed(tmp_path_factory):
                 nodes["capture_detector"].process.send_signal(signal.SIGSTOP)
             else:
                 nodes.pop(name).process.kill()
-        try:
-            yield {name: (nodes, out / name / "tilt_0.mcap") for name, nodes in suites.items()}
-        finally:
-            suites["stopped"]["capture_detector"].process.send_signal(signal.SIGCONT)
+        yield {name: (nodes, out / name / "tilt_0.mcap") for name, nodes in suites.items()}
 
 
-def test_killed_simulator_leaves_a_readable_file_and_the_others_go_on(disturbed):
-    nodes, path = disturbed["simulator"]
+@pytest.fixture
+def suite_without(disturbed):
+    """Give the suite without a node: its other nodes, which end with the test, and its file."""
+    with ExitStack() as stack:
+
+        def take(name):
+            stack.callback(leave, disturbed[name][0].values())
+            return disturbed[name]
+
+        yield take
+
+
+def test_killed_simulator_leaves_a_readable_file_and_the_others_go_on(suite_without):
+    nodes, path = suite_without("simulator")
     for node in nodes.values():
         node.wait_for("the simulator has gone")
         assert node.end() == 1
@@ -90,8 +100,8 @@ def test_killed_simulator_leaves_a_readable_file_and_the_others_go_on(disturbed)
 
 
 @pytest.mark.parametrize("victim", ["capture_detector", "recorder"])
-def test_run_goes_on_without_a_killed_participant(victim, disturbed):
-    nodes, path = disturbed[victim]
+def test_run_goes_on_without_a_killed_participant(victim, suite_without):
+    nodes, path = suite_without(victim)
     nodes["simulator"].wait_for("done, 5936 samples")
     found = statuses(nodes)
     assert found.pop("recorder", 1) == 1
@@ -103,8 +113,8 @@ def test_run_goes_on_without_a_killed_participant(victim, disturbed):
     assert run.samples.size > 500
 
 
-def test_stopped_process_is_named_and_the_others_record_the_run(disturbed):
-    nodes, path = disturbed["stopped"]
+def test_stopped_process_is_named_and_the_others_record_the_run(suite_without):
+    nodes, path = suite_without("stopped")
     assert nodes["simulator"].status() in (0, 1), nodes["simulator"].text
     nodes["recorder"].wait_for("capture_detector: never reported")
     run = read_bag(path)

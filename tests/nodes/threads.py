@@ -7,7 +7,7 @@ exit statuses need processes: see bench_processes.
 import gc
 import sys
 import threading
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib import import_module
 
@@ -137,8 +137,9 @@ def threads():
     finally:
         for running in started:
             running.end_request.set()
-        for running in started:
-            running.status()
-        started.clear()
-        gc.unfreeze()  # nodes freeze what is there when they begin
-        gc.collect()
+        with ExitStack() as stack:  # all of them, though one fails
+            stack.callback(gc.collect)
+            stack.callback(gc.unfreeze)  # nodes freeze what is there when they begin
+            stack.callback(started.clear)
+            for running in started:
+                stack.callback(running.status)
