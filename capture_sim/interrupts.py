@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import ctypes
 import os
+import shutil
 import signal
 import socket
 import struct
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import TypeVar
 
@@ -75,6 +76,15 @@ def terminated_as_interrupted() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, earlier)
+
+
+def tied(command: Sequence[str]) -> list[str]:
+    """Return a command whose process gets SIGTERM when ours is killed, where util-linux is there.
+
+    It gets it also when the thread ends that starts it.
+    """
+    keeper = shutil.which("setpriv")
+    return [*((keeper, "--pdeathsig", "TERM") if keeper else ()), *command]
 
 
 def wait_for(event: threading.Event) -> None:

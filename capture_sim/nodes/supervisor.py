@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from capture_sim.errors import CaptureSimError, MissingPackageError, explain_import_error
-from capture_sim.interrupts import watch_signals
+from capture_sim.interrupts import tied, watch_signals
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, PLAYER, RECORDER, SIMULATOR
 from capture_sim.nodes.start import FAILED, OK, RECORDING_IN, REFUSAL, REFUSED
 from capture_sim.scene.parts import Scene
@@ -200,7 +200,7 @@ class _Processes:
 
     def _start(self, name: str) -> None:
         process = subprocess.Popen(
-            [sys.executable, "-m", "capture_sim.nodes.start", name, *self._arguments],
+            tied([sys.executable, "-m", "capture_sim.nodes.start", name, *self._arguments]),
             env=dict(self._environment),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
-import shutil
 import socket
 import subprocess
 import time
 from pathlib import Path
 
 from capture_sim.errors import CaptureSimError
+from capture_sim.interrupts import tied
 
 #: All traffic stays on this machine.
 LOCALHOST = "127.0.0.1"
@@ -46,14 +46,9 @@ class RecordingServer:
                 raise CaptureSimError(
                     f"port = {port}: {error.strerror or error}; must be a free port"
                 ) from None
-        # a killed viewer cannot end its server: then the system does, where util-linux is there
-        keeper = shutil.which("setpriv")
+        command = [str(program()), "--serve-grpc", "--bind", LOCALHOST, "--port", str(port)]
         self._process = subprocess.Popen(
-            [
-                *((keeper, "--pdeathsig", "TERM") if keeper else ()),
-                *(str(program()), "--serve-grpc", "--bind", LOCALHOST, "--port", str(port)),
-                *("--server-memory-limit", f"{memory}MB"),
-            ],
+            tied([*command, "--server-memory-limit", f"{memory}MB"]),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

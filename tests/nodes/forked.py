@@ -5,6 +5,7 @@ signals, memory and an end of its own.  How nodes load from nothing is for the t
 suites, replays and commands.
 """
 
+import ctypes
 import gc
 import json
 import os
@@ -24,6 +25,7 @@ from capture_sim.messages.definitions import typestore
 
 NODES = ("simulator", "launcher", "capture_detector", "recorder", "player", "viewer")
 NODES += ("contact_rig", "loop_simulator")
+PR_SET_PDEATHSIG = 1  # of Linux
 
 
 @cache
@@ -96,6 +98,8 @@ def _serve(client):
                 case [program, arguments]:
                     pid = os.fork()
                     if pid == 0:
+                        # at the end of the process that is forked, however the tests end
+                        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
                         os.dup2(files[0], 1)
                         os.dup2(files[0], 2)
                         os.close(files[0])

@@ -2,10 +2,10 @@
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
-import textwrap
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -127,25 +127,45 @@ def test_stopped_process_is_named_and_the_others_record_the_run(suite_without):
 # Ctrl-C, disks
 
 
+SUITE = """
+import sys
+from pathlib import Path
+from capture_sim import load_scene
+from capture_sim.nodes.supervisor import run_suite
+try:
+    run_suite([load_scene("tilt_0")], Path(sys.argv[1]), rtf=1.0)
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs setpriv of util-linux")
+def test_nodes_of_a_killed_suite_end(tmp_path):
+    suite = Started(fresh(SUITE, [str(tmp_path)]))
+    try:
+        suite.wait_for("released")
+        with Client() as client:
+
+            def nodes():
+                return client.node.get_publishers_info_by_topic("/bench/roll")
+
+            wait_until(nodes)
+            suite.process.kill()
+            wait_until(lambda: not nodes(), "nodes go on")
+    finally:
+        leave([suite])
+    assert not read_bag(tmp_path / "tilt_0.mcap").damage
+
+
 def test_one_ctrl_c_ends_all_without_traceback(tmp_path):
-    program = """
-        import sys
-        from pathlib import Path
-        from capture_sim import load_scene
-        from capture_sim.nodes.supervisor import run_suite
-        try:
-            run_suite([load_scene("tilt_0")], Path(sys.argv[1]), rtf=1.0)
-        except KeyboardInterrupt:
-            sys.exit(130)
-    """
-    suite = Started(fresh(textwrap.dedent(program), [str(tmp_path)]))
+    suite = Started(fresh(SUITE, [str(tmp_path)]))
     try:
         suite.wait_for("released")
         wait_until((tmp_path / "tilt_0.mcap").is_file)
         time.sleep(1.0)
         assert suite.end() == 130, suite.text
     finally:
-        suite.process.kill()
+        leave([suite])
     text = suite.text
     assert "Traceback" not in text
     assert "killed" not in text  # no node had to be
