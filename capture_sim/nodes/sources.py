@@ -6,8 +6,9 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
-from statistics import median, pstdev
+from statistics import median
+
+import numpy as np
 
 from capture_sim.launch.interlocks import SourceMonitor, TrialLimits
 from capture_sim.messages.topics import Topic
@@ -83,11 +84,11 @@ class SourceDiagnostics:
         name = self._node.resolve_topic_name(topic.name)
         publishers = self._node.get_publishers_info_by_topic(name)
         age = self._sources[topic].monitor.age(now)
-        intervals = [b - a for a, b in pairwise(self._sources[topic].arrivals)]
+        intervals = np.diff(self._sources[topic].arrivals)
         rate = f"{len(intervals) / (now - self._since):.2f}"
         values: dict[str, object] = {"rate [Hz]": rate, "age [s]": f"{age:.3f}"}
-        if intervals:
-            values["jitter [s]"] = f"{pstdev(intervals):.6f}"
+        if len(intervals):
+            values["jitter [s]"] = f"{np.std(intervals):.6f}"
         if topic in offsets:
             values["clock offset [s]"] = f"{offsets[topic]:.4f}"
         for end in publishers:

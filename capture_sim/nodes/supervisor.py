@@ -131,7 +131,7 @@ def _run_nodes(
 
 
 def _print(text: str, who: str = "suite") -> None:
-    print(f"[{who}] {text}\n", end="", flush=True)  # a line is written at once: by several threads
+    print(f"[{who}] {text}\n", end="", flush=True)  # one write: several threads print
 
 
 class _Processes:
