@@ -52,8 +52,13 @@ class RobotModel:
             self._moving.publish(self._message(moving_transforms(scene, q.tolist()), 0.0))
 
     def move(self, sample: np.void) -> None:
-        """Show the parts where this sample has them."""
-        if self._moving is not None and self._scene is not None:
+        """Show the parts where this sample has them, if a node reads tf.
+
+        These messages would take a third of a simulator's time.
+        """
+        if self._moving is None or self._scene is None:
+            return
+        if self._moving.get_subscription_count():
             transforms = moving_transforms(self._scene, sample["q"].tolist())
             self._moving.publish(self._message(transforms, float(sample["t"])))
 
