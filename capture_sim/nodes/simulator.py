@@ -2,102 +2,38 @@
 
 from __future__ import annotations
 
-import gc
-import itertools
-import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-from capture_sim.bench import Bench, compile_kernels
+from capture_sim.bench import compile_kernels
 from capture_sim.compile_progress import watch_compilation
 from capture_sim.control.pacing import FACTORS, Pacer
-from capture_sim.control.simulation import CutKind, RunCut, SimulationControl, State
-from capture_sim.errors import CaptureSimError, MessageError
+from capture_sim.control.simulation import CutKind, SimulationControl, State
+from capture_sim.errors import CaptureSimError
 from capture_sim.files import why_no_folder
 from capture_sim.kernels import is_compiled
-from capture_sim.launch.plan import LaunchPlan, plan_launch
+from capture_sim.launch.plan import plan_launch
 from capture_sim.launch.scenes import load_requested, load_scene
-from capture_sim.messages.convert import LaunchAction, RunDescription
-from capture_sim.messages.telemetry import BenchTelemetry
 from capture_sim.messages.topics import (
-    BENCH_STATE,
-    LAUNCH_COMMAND,
-    LAUNCHER,
-    PLAYER,
-    RUN_INFO,
     SIMULATOR,
-    RunSource,
-    topics_of,
 )
-from capture_sim.nodes.announcer import Announcer
-from capture_sim.nodes.diagnostics import SimulatorDiagnostics
 from capture_sim.nodes.endpoints import DISCOVERY_TIME
-from capture_sim.nodes.follower import INTERRUPTED
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run
-from capture_sim.nodes.robot_model import RobotModel
-from capture_sim.nodes.roll import Part, Roll, number_of
 from capture_sim.nodes.services import SimulationServices
+from capture_sim.nodes.simulated_runs import RunOutcome, SimulatedRuns
 from capture_sim.nodes.start import FAILED
-from capture_sim.nodes.stepping import Stepping
-from capture_sim.results import extremes_to_text
 from capture_sim.scene.parts import Scene
 
 #: A paced simulator hands its GIL over this often, s: Python's own 5 ms would make ticks late.
 SWITCH_INTERVAL = 2e-4
-
-
-@dataclass(frozen=True)
-class RunOutcome:
-    """How a run has ended: why it failed, if it did, and by which request, if by one."""
-
-    failure: str = ""
-    cut: CutKind | None = None
-
-
-class LauncherLink:
-    """What a launcher has commanded for the run that is on."""
-
-    def __init__(self, control: SimulationControl) -> None:
-        self._control = control
-        self._run_id = ""
-        self._scene: Scene | None = None
-        self.armed: Any = None  # LaunchCommand
-        self.is_released = False
-
-    def begin(self, run_id: str, scene: Scene) -> None:
-        """Take the commands for this run from now on."""
-        self._run_id, self._scene = run_id, scene
-        self.armed, self.is_released = None, False
-
-    def pending(self) -> str:
-        """Return what the run waits for; empty once it is released."""
-        return "" if self.armed and self.is_released else "waiting for the release"
-
-    def receive(self, command: Any) -> None:
-        """Take a LaunchCommand; MessageError if it cannot be used."""
-        if command.run_id != self._run_id or self._scene is None:
-            return  # kept from an earlier run, for late subscribers
-        if command.action == LaunchAction.ARM:
-            try:
-                _plan(self._scene, command)
-            except CaptureSimError as error:
-                raise MessageError(str(error)) from None
-            self.armed = command
-        elif command.action == LaunchAction.RELEASE:
-            self.is_released = True
-        elif command.action == LaunchAction.ABORT:
-            self._control.abort("aborted by the launcher")
-        else:
-            raise MessageError(f"action = {command.action}: must be 1 to 3")
 
 
 class SimulatorNode(BenchNode):
@@ -154,7 +90,7 @@ class SimulatorNode(BenchNode):
             low=1.0,
             high=600.0,
         )
-        self._start_timeout = self.declare(
+        start_timeout = self.declare(
             "start_timeout", 60.0, "s (wall), wait for the nodes in wait_for", low=1.0, high=86400.0
         )
         self._exit_when_done = self.declare(
@@ -165,32 +101,12 @@ class SimulatorNode(BenchNode):
         self.control = SimulationControl(
             State[state.upper()], Pacer(factor), lambda limit: self.wait(limit=limit)
         )
-        self._launcher = LauncherLink(self.control)
-        self._model = RobotModel(self)
-        self._diagnostics = SimulatorDiagnostics(self, self.control)
         self._simulation_services = SimulationServices(self, self.control)
-        self.listen(LAUNCH_COMMAND, self._launcher.receive)
-        topics = topics_of(SIMULATOR)
-        self.open([*(topic for topic in topics if topic is not RUN_INFO), RUN_INFO])
-        self._numbers = itertools.count(1)
-        self.roll = Roll(self, SIMULATOR, on_part=self._check_part)
-        self._announcer = Announcer(
-            self, self.roll, RunSource.SIMULATION, wait_for, self.control.check
-        )
+        self._runs = SimulatedRuns(self, self.control, wait_for, start_timeout)
         self.add_on_set_parameters_callback(self._may_set)
         self.add_post_set_parameters_callback(self._parameters_set)
 
     # callbacks
-
-    def _check_part(self, part: Part) -> None:
-        """End if a trial is on, or an older simulator or player: with two no stream is complete."""
-        self._announcer.check_part(part)
-        if part.role in (SIMULATOR, PLAYER) and part.number < number_of(self.roll.id):
-            topic = self.resolve_topic_name(BENCH_STATE.name)
-            raise CaptureSimError(
-                f"another {part.role}, {part.node}, publishes {topic}: use another ROS_DOMAIN_ID "
-                "or namespace"
-            )
 
     def _may_set(self, parameters: list[Parameter]) -> SetParametersResult:
         wanted = {p.name: p.value for p in parameters if p.name in ("scenes", "overrides")}
@@ -270,117 +186,15 @@ class SimulatorNode(BenchNode):
             while outcome.cut is CutKind.RESET:
                 if self.control.state in (State.STOPPED, State.QUITTING):
                     return False
-                outcome = self._run_scene(scene)
-                failed = failed or bool(outcome.failure) or self._has_dropped_participants()
+                outcome = self._runs.run(scene)
+                failed = failed or bool(outcome.failure) or self._runs.has_dropped_participants()
                 self.exit_status = FAILED if failed else self.exit_status
             if outcome.cut in (CutKind.STOPPED, CutKind.QUITTING):
                 return False
-            if failed and (not self._exit_when_done or self._has_dropped_participants()):
+            if failed and (not self._exit_when_done or self._runs.has_dropped_participants()):
                 break  # somebody ought to look first
         self.control.finish()
         return True
-
-    def _has_dropped_participants(self) -> bool:
-        """Return True if a reader was dropped that takes part in runs."""
-        return any(part.node in self.outbox.dropped for part in self.roll.parts.values())
-
-    def _run_scene(self, scene: Scene) -> RunOutcome:
-        """Wait for the others, run a scene, and wait until they have written it."""
-        gc.collect()
-        self.control.begin()
-        telemetry: BenchTelemetry | None = None
-        failure = extremes = ""
-        cut: CutKind | None = None
-        try:
-            self._announcer.await_nodes(scene.name, self._start_timeout)
-            telemetry, has_launcher = self._begin_run(scene)
-            if has_launcher:
-                self._announcer.await_none(scene.name, self._launcher.pending, math.inf)
-            bench = Bench(scene, _plan(scene, self._launcher.armed))
-            failure = self._simulate(bench, telemetry)
-            extremes = "" if failure else extremes_to_text(bench.extremes)
-        except RunCut as request:
-            cut = request.kind
-            failure = "" if cut.is_requested else str(request)
-        except CaptureSimError as error:
-            if error is self.failure:
-                raise
-            failure = str(error)
-        except KeyboardInterrupt:
-            if telemetry is not None:
-                self._end_run(telemetry, INTERRUPTED)
-            raise
-        if failure:
-            self.get_logger().error(f"{scene.name}: {failure}")
-        if telemetry is not None:
-            self._end_run(telemetry, failure or ("" if cut is None else cut.value), extremes)
-            failure = failure or self._await_participants(scene.name)
-        cut = cut or self.control.cut_kind
-        self.control.end()
-        return RunOutcome(failure, cut)
-
-    def _begin_run(self, scene: Scene) -> tuple[BenchTelemetry, bool]:
-        """Announce the run; return its telemetry, and True if a launcher arms and releases."""
-        cast = self._announcer.cast()
-        run_id = f"{number_of(self.roll.id)}{next(self._numbers):08x}"
-        description = RunDescription.of(
-            scene,
-            run_id,
-            [SIMULATOR, *cast.publishers],
-            announcer=self.roll.id,
-            participants=cast.participants,
-        )
-        self._launcher.begin(run_id, scene)
-        telemetry = BenchTelemetry(self.messages, scene, description)
-        self._model.begin(scene)
-        self._announcer.announce(description, telemetry.begin().data)
-        return telemetry, LAUNCHER in cast.roles
-
-    def _simulate(self, bench: Bench, telemetry: BenchTelemetry) -> str:
-        """Send the run; return why it failed, or an empty text."""
-        name = bench.scene.name
-        self.get_logger().info(f"{name}: released")
-        stepping = Stepping(bench, telemetry, self.control)
-        self._diagnostics.begin(stepping)
-        try:
-            failure = stepping.run(self.send, self._model.move)
-        finally:
-            self._diagnostics.end()
-        self.get_logger().info(f"{name}: done, {stepping.count} samples, {stepping.figures}")
-        return failure
-
-    def _end_run(self, telemetry: BenchTelemetry, reason: str, extremes: str = "") -> None:
-        """Wait until all that was sent has arrived, then report the counts."""
-        for sent in telemetry.rest():
-            self.publish(sent)
-        self._announcer.await_read()
-        self.publish(telemetry.end(reason, extremes))
-
-    def _await_participants(self, name: str) -> str:
-        """Wait until the other nodes have received and written the run; return their failures."""
-        try:
-            self._announcer.await_done()
-        except CaptureSimError as error:
-            if error is self.failure:
-                raise
-            self.get_logger().error(f"{name}: {error}")
-            return str(error)
-        finally:
-            self._announcer.close()
-        return ""
-
-
-def _plan(scene: Scene, armed: Any) -> LaunchPlan:
-    """Return the launch with the mass and height that a launcher has set, if one has."""
-    if scene.string is None or armed is None:
-        return plan_launch(scene)
-    fitted = replace(
-        scene.string,
-        impact_speed=None,
-        hanging_mass=armed.hanging_mass,
-        drop_height=armed.drop_height,
-    )
-    return plan_launch(replace(scene, string=fitted))
 
 
 def _load(

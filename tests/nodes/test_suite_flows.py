@@ -28,7 +28,7 @@ from capture_sim.messages.topics import (
     RUN_INFO,
     TARGET_ODOMETRY,
 )
-from capture_sim.nodes import simulator as simulator_module
+from capture_sim.nodes import simulated_runs
 from capture_sim.nodes.endpoints import TRANSIENT_LOCAL, message_class, qos_of
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
@@ -384,13 +384,13 @@ def test_error_of_publishing_is_reported_at_once_with_its_cause(start):
 
 def heavier(monkeypatch):
     """Let the bench differ from its plan: the mass that was fitted is heavier by half."""
-    plan_of = simulator_module._plan
+    plan_of = simulated_runs._plan
 
     def plan(scene, armed):
         planned = plan_of(scene, armed)
         return planned._replace(hanging_mass=1.5 * planned.hanging_mass)
 
-    monkeypatch.setattr(simulator_module, "_plan", plan)
+    monkeypatch.setattr(simulated_runs, "_plan", plan)
 
 
 def test_launcher_aborts_a_launch_that_goes_wrong(start, monkeypatch):
