@@ -273,20 +273,18 @@ class Follower:
 
     def _await_participants(self, present: _Participation) -> None:
         """Report that this node is ready, and wait until all others are; then begin."""
-        run, participants = present.run, list(present.run.info.participants)
-        pending = partial(self.roll.pending, participants)
-        is_late = lambda: present.has_begun or present.has_ended  # noqa: E731
-        self._node.wait(lambda: is_late() or not pending(), JOIN_TIMEOUT)
-        self.roll.report(READY, run.info)
-        key = run_key(run.info)
+        run, key = present.run, run_key(present.run.info)
+        pending = partial(self.roll.pending, list(run.info.participants))
+
+        def is_late() -> bool:
+            return present.has_begun or present.has_ended
 
         def not_ready() -> list[str]:
             return pending(lambda part: part.is_ready(key))
 
-        def may_begin() -> bool:
-            return present.has_begun or present.has_ended or not not_ready()
-
-        if not self._node.wait(may_begin, JOIN_TIMEOUT):
+        self._node.wait(lambda: is_late() or not pending(), JOIN_TIMEOUT)
+        self.roll.report(READY, run.info)
+        if not self._node.wait(lambda: is_late() or not not_ready(), JOIN_TIMEOUT):
             names = ", ".join(not_ready())
             self._node.get_logger().warning(f"{run.name}: {names} has not joined the run")
         self._begin(present)
