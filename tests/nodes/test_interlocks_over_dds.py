@@ -47,8 +47,8 @@ def watch(self):
             "kernels compiled:", len(compiled.buffer), flush=True)
 node.LauncherNode.work = watch
 hold.HoldOutput = node_hold = Watched
-from capture_sim.nodes import trial_server
-trial_server.HoldOutput = Watched
+from capture_sim.nodes import trial_bench
+trial_bench.HoldOutput = Watched
 """
 
 
