@@ -131,16 +131,15 @@ def received_in(bag: Bag, scene: Scene | None) -> list[Received]:
             end = int(bag.log_times(topics.CAPTURE_STATUS)[-1])
     reader = DetectorInput(scene, is_simulated=bag.is_simulated, store_of=bag.store_for)
     messages: list[tuple[int, Topic, bytes]] = []
-    usual: dict[Source, Topic] = {}
-    for topic, source in reader.topics.items():
-        usual.setdefault(source, topic)
+    for topic in reader.topics:
         if bag.has(topic):
             messages += zip(bag.log_times(topic).tolist(), repeat(topic), bag.raw(topic))
-    lacking = set(usual) - {reader.topics[topic] for _, topic, _ in messages}
+    present = {reader.topics[topic] for _, topic, _ in messages}
     for source in Source:
-        if source in lacking:
+        names = [topic.name for topic, of in reader.topics.items() if of is source]
+        if names and source not in present:
             raise RecordingError(
-                f"{bag.path}: contains no {usual[source].name}, which the detector needs; --remap "
+                f"{bag.path}: contains no {' or '.join(names)}, which the detector needs; --remap "
                 "reads it from another topic"
             )
     received = []

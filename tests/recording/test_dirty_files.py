@@ -128,7 +128,7 @@ def test_bag_of_another_robot_is_named_with_what_is_missing(path, tmp_path, caps
     expected = {
         "view": f"{file}: contains no finite pose of the chaser",
         "report": f"{file}: contains no finite pose of the chaser",
-        "detect": f"{file}: contains no chaser/odom, which the detector needs",
+        "detect": f"{file}: contains no motion_capture/chaser or chaser/odom,",
         "identify": "nothing to fit to",
         "compare": f"{file}: contains no contact to align it by",
     }
