@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 # lets capture_sim.msg, generated into an install prefix, be found from a source checkout
 __path__ = extend_path(__path__, __name__)
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # loaded at first use: code that needs no kernels does not import the compiler
 _MODULES = {

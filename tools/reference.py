@@ -167,7 +167,7 @@ def scenes_page() -> str:
     return HEAD + "\n".join(body) + "\n" + RULES.format(positive=laws)
 
 
-FIELD = re.compile(r"^(?P<type>[\w/\[\]]+) (?P<name>\w+) *(?:# ?(?P<comment>.*))?$")
+FIELD = re.compile(r"^(?P<type>[\w/\[\]]+) (?P<name>\w+)(?: +[^#=]+?)? *(?:# ?(?P<comment>.*))?$")
 
 
 def message_fields() -> str:

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jinja2 import Environment, PackageLoader
 
-import capture_sim
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.files import whole_file
 from capture_sim.results import LEGEND, first_cluster, heads, notes, rows
@@ -22,6 +21,7 @@ from capture_sim.samples import ENERGIES, EventKind
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Declared, declared
 from capture_sim.simulation import simulate
+from capture_sim.software import own_version
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import small_png
 from capture_sim.viewing.curves import has_ledger
@@ -124,7 +124,7 @@ def report(runs: Sequence[Run], progress: ShowProgress = lambda done, count: Non
     return environment.get_template("report.html.j2").render(
         title=f"Docking and capture: {', '.join(names)}",
         date=datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
-        version=capture_sim.__version__,
+        version=own_version(),
         names=names,
         runs=about_runs,
         groups=[(g if isinstance(g, str) else "", len(list(inside))) for g, inside in groups],
