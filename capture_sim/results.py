@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import json
 import math
@@ -13,7 +14,7 @@ import numpy as np
 from capture_sim.detection.criteria import CaptureStatus, Criteria
 from capture_sim.kernels import plain
 from capture_sim.model.equations import tip_in_cone
-from capture_sim.samples import EXTREMES, Event, EventKind, Extremes
+from capture_sim.samples import EXTREMES, TOUCH, Event, EventKind, Extremes
 from capture_sim.scene.parts import Scene
 from capture_sim.series import at_rate
 
@@ -283,6 +284,43 @@ def _stop_force(scene: Scene, samples: np.ndarray) -> np.ndarray:
     return force
 
 
+#: The numbers of a part, in the recordings of the first commits.
+_FIRST_EXTREMES = tuple(
+    f"{name}{end}"
+    for name in (
+        "axial_stroke_in",
+        "axial_stroke_out",
+        "torsion",
+        "tip_distance",
+        "penetration",
+        "peak_force",  # of either wall: in the touches as well, with the wall
+    )
+    for end in ("", "_time")
+)
+
+
+def with_forces_of_touches(
+    extremes: Extremes, touches: np.ndarray, events: Iterable[Event]
+) -> Extremes:
+    """Return extremes of a run with the walls' forces, where they lack them, from its touches."""
+    latched = min((e.t for e in events if e.kind is EventKind.LATCHED), default=math.inf)
+    before, after = extremes.before_latch.copy(), copy.copy(extremes.after_latch)
+    is_before = touches["start"] < latched
+    for row, of_part in zip(
+        (before, after), (touches[is_before], touches[~is_before]), strict=True
+    ):
+        for wall, side in (("plus_y", 1), ("minus_y", -1)):
+            name = f"normal_force_{wall}"
+            if row is None or not math.isnan(row[name]):
+                continue
+            row[name] = 0.0
+            at_wall = of_part[of_part["wall"] == side]
+            if at_wall.size:
+                largest = at_wall[at_wall["peak_force"].argmax()]
+                row[name], row[f"{name}_time"] = largest["peak_force"], largest["peak_time"]
+    return Extremes(before, after)
+
+
 def extremes_to_text(extremes: Extremes) -> str:
     """Return extremes as a line of JSON, exactly."""
     names = EXTREMES.names or ()
@@ -291,13 +329,21 @@ def extremes_to_text(extremes: Extremes) -> str:
 
 
 def extremes_from_text(text: str) -> Extremes:
-    """Return the extremes in a text of :func:`extremes_to_text`; ValueError if it is invalid."""
-    extremes = np.zeros(2, EXTREMES)
+    """Return the extremes in a text of :func:`extremes_to_text`; ValueError if it is invalid.
+
+    What a text of another version lacks is NaN: not recorded.
+    """
+    extremes = np.full(2, math.nan, EXTREMES)
     try:
         before, after = (json.loads(text)[name] for name in Extremes._fields)
-        extremes[0] = tuple(before[name] for name in EXTREMES.names or ())
-        if after is not None:
-            extremes[1] = tuple(after[name] for name in EXTREMES.names or ())
+        for row, values in zip(extremes, (before, after), strict=True):
+            if isinstance(values, list):  # of a list each place had a meaning
+                values = dict(zip(_FIRST_EXTREMES, values, strict=True))
+            if values is not None:
+                for name in (name for name in EXTREMES.names or () if name in values):
+                    row[name] = values[name]
+        if before is None:
+            raise ValueError("no extremes before the latch")
     except (TypeError, KeyError, IndexError, RecursionError) as error:
         raise ValueError(str(error)) from None
     return Extremes(extremes[0], None if after is None else extremes[1])
@@ -452,13 +498,82 @@ def _text(column: _Column, value: Any) -> str:
     return column.form.format(value if column.factor == 1.0 else value * column.factor)
 
 
-def table(summaries: Sequence[dict[str, Any]]) -> str:
+#: Key of a row of ``results.json``: file of the recording beside it; null without one.
+RECORDING = "recording"
+#: Keys of such a row that do not say what was measured.
+NOT_NUMBERS = {RECORDING, "wall_time", "real_time_factor", "made_by"}
+#: Value of the keys that are no number, where a row lacks them.
+_MISSING: dict[str, Any] = {
+    "verdict": None,
+    "left_again": False,
+    "not_used": "",
+    "problems": [],
+    "impact_speed_missing": "",
+    "loads_from": "integration",
+    "made_by": {},
+    RECORDING: None,
+}
+#: Texts where these keys are not null.
+_TEXTS_OR_NULL = ("verdict", RECORDING)
+
+
+def row_from(entry: object, where: str) -> dict[str, Any]:
+    """Return a row of ``results.json``, of any version: a key that it lacks has its default.
+
+    ValueError, which begins with ``where``, if the entry is no such row.
+    """
+    if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
+        raise ValueError(f"{where}: name: must be a text")
+    row = {**dict.fromkeys(_number_keys()), **copy.deepcopy(_MISSING), **entry}
+    for key, value in row.items():
+        default = _MISSING.get(key)
+        if key in _number_keys():
+            is_right = value is None or (
+                isinstance(value, int | float) and not isinstance(value, bool)
+            )
+        elif key in _TEXTS_OR_NULL:
+            is_right = value is None or isinstance(value, str)
+        else:
+            is_right = default is None or isinstance(value, type(default))
+        if not is_right:
+            raise ValueError(f"{where}: {key} = {json.dumps(value)[:40]}: must be {_kind(key)}")
+    return row
+
+
+def row_without_results(name: str, problem: str) -> dict[str, Any]:
+    """Return the row of a recording that gives no results, with the reason."""
+    return {**row_from({"name": name}, name), "problems": [problem]}
+
+
+def _kind(key: str) -> str:
+    default = "" if key in _TEXTS_OR_NULL else _MISSING.get(key)
+    kinds = {str: "a text", bool: "true or false", list: "a list", dict: "an object"}
+    text = kinds.get(type(default), "a number")
+    return f"{text} or null" if text == "a number" or key in _TEXTS_OR_NULL else text
+
+
+@functools.cache
+def _number_keys() -> frozenset[str]:
+    """Return the keys of a row whose value is a number or null."""
+    of_runs = {
+        *("impact_speed", "first_contact_time", "first_contact_duration", "energy_residual"),
+        *("first_contact_touches", "first_contact_peak_force", "normal_impulse"),
+        *("wall_time", "real_time_factor"),
+    }
+    nothing = Extremes(np.zeros(1, EXTREMES)[0], None)
+    return frozenset(of_runs | loads_of(nothing, np.zeros(0, TOUCH)).keys())
+
+
+def table(summaries: Sequence[dict[str, Any]], names: Sequence[str] | None = None) -> str:
     """Return summaries as a text table with units in its head, and notes.
 
-    It fits 100 columns unless the name of a scene is longer than 17 letters.
+    ``names`` replaces the names of the scenes.  It fits 100 columns unless a name is longer than 17
+    letters.
     """
     from capture_sim.tables import table_text  # rich: only where a table is printed
 
+    if names is not None:
+        summaries = [{**row, "name": name} for row, name in zip(summaries, names, strict=True)]
     # the group is over the column of its longest name, so that it needs no room
     widest = {column.group: column for column in sorted(_COLUMNS, key=lambda c: len(c.name))}
     head = [
@@ -499,11 +614,11 @@ def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
 def made_by_text(name: str, made_by: Mapping[str, Any]) -> str:
     """Return a run's origin as a line: scene, hash, overrides, seed and version."""
     parts = [f"scene {made_by['scene']}"] if "scene" in made_by else []
-    if "scene_sha256" in made_by:
+    if parts and "scene_sha256" in made_by:
         parts[0] += f" ({made_by['scene_sha256'][:12]})"
-        if made_by["overrides"]:
-            parts.append("with " + ", ".join(made_by["overrides"]))
+    if made_by.get("overrides"):
+        parts.append("with " + ", ".join(made_by["overrides"]))
     if made_by.get("seed") is not None:
         parts.append(f"seed {made_by['seed']}")
     own = [line for line in made_by.get("software", ()) if line.startswith("capture_sim ")]
-    return f"{name}: {made_by['source']}: {'; '.join([*parts, *own])}."
+    return f"{name}: {made_by.get('source', 'unknown source')}: {'; '.join([*parts, *own])}."

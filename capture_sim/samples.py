@@ -112,9 +112,6 @@ SAMPLE = np.dtype(
     ]
 )
 
-#: Fields of SAMPLE that older recordings lack; 0 in these.
-SINCE_FIRST_RECORDINGS = ("dissipated_slide",)
-
 #: Names of the numbers of a field, by their count.
 _MEMBERS = {8: COORDINATES, 2: ("+y", "-y")}
 _PLANAR = ("contact_force", "latch_force")

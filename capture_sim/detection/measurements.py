@@ -85,10 +85,13 @@ class Counts:
     def __init__(self) -> None:
         self.received: Counter[Source] = Counter()
         self.rejected: Counter[tuple[Source, Reason]] = Counter()
+        #: Number of changes of :attr:`rejected`.
+        self.n_changes = 0
 
     def reject(self, source: Source, reason: Reason, number: int = 1) -> None:
         """Count measurements that are not used."""
         self.rejected[source, reason] += number
+        self.n_changes += 1
 
     def of(self, source: Source) -> int:
         """Return how many measurements of a source were not used."""

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.detection.criteria import CaptureStatus
-from capture_sim.detection.detector import CaptureDetector
 from capture_sim.detection.exact import ExactDetector
 from capture_sim.detection.measurements import REORDER, Source, Values
 from capture_sim.scene.parts import Detector, Scene
@@ -65,6 +64,8 @@ def detect_received(
 
     Return the statuses, the final verdict last.
     """
+    from capture_sim.detection.detector import CaptureDetector  # 15 ms, not for exact samples
+
     detector = CaptureDetector(
         scene,
         is_released=trial.is_simulated,

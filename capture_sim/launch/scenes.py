@@ -29,6 +29,7 @@ from capture_sim.scene.files import (
     Overrides,
     build,
     find_scene,
+    known_fields,
     overridden,
     parse_scene,
     read_scene,
@@ -99,12 +100,13 @@ def load_requested(text: str, overrides: Overrides = (), folder: Path | None = N
     return load_scene(find_scene(name, folder), overrides)
 
 
-def load_scene_text(text: str, overrides: Overrides = ()) -> Scene:
+def load_scene_text(text: str, overrides: Overrides = (), *, only_known: bool = False) -> Scene:
     """Return the scene of resolved YAML text (no ``extends``), as recordings contain it.
 
-    See :func:`load_scene`.
+    ``only_known`` leaves out the fields that this version does not know.  See :func:`load_scene`.
     """
-    return _changed(parse_scene(text, "scene"), overrides)
+    data = parse_scene(text, "scene")
+    return _changed(known_fields(data) if only_known else data, overrides)
 
 
 def change_scene(scene: Scene, overrides: Overrides) -> Scene:

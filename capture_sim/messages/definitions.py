@@ -3,40 +3,97 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from capture_sim.errors import MessageError
 from capture_sim.messages.cdr import NUMBERS
+from capture_sim.messages.standard import STANDARD
 from capture_sim.messages.topics import Topic
 from capture_sim.resources import message_dir
 
 _PACKAGE = "capture_sim"
+#: Errors of a text that defines no message type.
+NO_DEFINITION = (TypesysError, ValueError, KeyError, RecursionError)
 
 
 @cache
 def typestore() -> Typestore:
-    """Return the types of ROS 2 Jazzy and of capture_sim."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    types = {}
+    """Return the types of capture_sim, and those of ROS 2 Jazzy.
+
+    Of the latter, all but the suite's own topics' are loaded when one is asked for.
+    """
+    store = get_typestore(Stores.EMPTY)
+    store.types, store.fielddefs = _OnDemand(store), _OnDemand(store)
+    types = dict(STANDARD)
     for path in _definition_files():
         types.update(get_types_from_msg(path.read_text(encoding="utf-8"), _type_name(path)))
     store.register(types)
     return store
 
 
+@lru_cache(maxsize=100)
+def store_of(type_name: str, definition: str) -> Typestore:
+    """Return a store that knows a type by a file's definition of it, a ros2msg text.
+
+    That of this version if its definition is the same.  One of :data:`NO_DEFINITION` if the text
+    is none.
+    """
+    store = typestore()
+    if type_name in store.fielddefs and definition == schema_text(type_name):
+        return store
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(definition, type_name))
+    return store
+
+
+class _OnDemand(dict[str, Any]):
+    """What a store knows by type; asked for another type, it knows all of ROS 2 Jazzy."""
+
+    def __init__(self, store: Typestore) -> None:
+        super().__init__()
+        self._store = store
+        self._is_complete = False
+
+    def __contains__(self, type_name: object) -> bool:
+        if not super().__contains__(type_name):
+            self._load()
+        return super().__contains__(type_name)
+
+    def __missing__(self, type_name: str) -> Any:
+        if type_name not in self:
+            raise KeyError(type_name)
+        return self[type_name]
+
+    def _load(self) -> None:
+        types, definitions = self._store.types, self._store.fielddefs
+        if isinstance(types, _OnDemand) and not types._is_complete:
+            types._is_complete = True
+            jazzy = get_typestore(Stores.ROS2_JAZZY)
+            for name in jazzy.types.keys() - types.keys():
+                types[name], definitions[name] = jazzy.types[name], jazzy.fielddefs[name]
+
+
+def is_known(type_name: str) -> bool:
+    """Return whether a type is one of capture_sim or of ROS 2 Jazzy, or was learned."""
+    try:
+        return bool(typestore().types[type_name])
+    except KeyError:
+        return False
+
+
 def learn_type(type_name: str, share: Path) -> bool:
     """Learn a type from the definitions in a package's folder; return whether it is known now."""
-    store, package = typestore(), type_name.split("/")[0]
-    if type_name in store.types:
+    if is_known(type_name):
         return True
+    store, package = typestore(), type_name.split("/")[0]
     types = {}
     for path in sorted(share.glob("msg/*.msg")):
         name = f"{package}/msg/{path.stem}"
@@ -77,10 +134,16 @@ def schema_text(type_name: str) -> str:
     generated, _ = typestore().generate_msgdef(type_name, ros_version=2)
     separator = "=" * 80 + "\n"
     own, *parts = generated.split(separator)
+    return separator.join([own_definition(type_name) or own, *parts])
+
+
+@cache
+def own_definition(type_name: str) -> str:
+    """Return the text of the file that defines a type of this package; empty for other types."""
     for path in _definition_files():
         if _type_name(path) == type_name:
-            own = path.read_text(encoding="utf-8")
-    return separator.join([own, *parts])
+            return path.read_text(encoding="utf-8")
+    return ""
 
 
 @cache

@@ -8,7 +8,9 @@ from functools import cache
 from capture_sim.messages.definitions import schema_text, typestore
 
 #: A number of our definitions, and the unit that its comment begins with.
-_DECLARED = re.compile(r"^float64(?:\[\d*\])? +(\w+) *# *([^,;\n]*[^,;\s])", re.MULTILINE)
+_DECLARED = re.compile(
+    r"^float64(?:\[\d*\])? +(\w+)(?: +[^#=\n]+?)? *# *([^,;\n]*[^,;\s])", re.MULTILINE
+)
 #: Units of x, y and z by the name of their vector in a standard message.
 _VECTORS = {
     "position": "m",

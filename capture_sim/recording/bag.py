@@ -12,7 +12,6 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from capture_sim.detection.criteria import CaptureState, CaptureStatus
@@ -21,7 +20,8 @@ from capture_sim.errors import MessageError, RecordingError, one_line
 from capture_sim.launch.scenes import load_scene_text
 from capture_sim.messages.cdr import Layout, columns, sequence_of
 from capture_sim.messages.convert import CRITERIA, LaunchAction, RunDescription
-from capture_sim.messages.definitions import schema_text, typestore
+from capture_sim.messages.definitions import NO_DEFINITION, store_of
+from capture_sim.messages.evolution import absent_fields, completed
 from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader, NoJointsError
 from capture_sim.messages.topics import (
     BENCH_EVENT,
@@ -51,10 +51,9 @@ from capture_sim.recording.write import (
     SCENE_ATTACHMENT,
     describing,
 )
-from capture_sim.results import extremes_from_text
+from capture_sim.results import extremes_from_text, with_forces_of_touches
 from capture_sim.samples import (
     SAMPLE,
-    SINCE_FIRST_RECORDINGS,
     TOUCH,
     TRACE,
     Event,
@@ -64,6 +63,7 @@ from capture_sim.samples import (
 )
 from capture_sim.scene.parts import Detector
 from capture_sim.series import Series, in_order
+from capture_sim.software import newer_line, newer_version
 
 if TYPE_CHECKING:
     from capture_sim.scene.parts import Scene
@@ -142,7 +142,8 @@ class Bag:
         self.damage = contents.damage
         self._contents = contents
         self._given_release = release
-        self._columns: dict[str, Columns] = {}
+        self._columns: dict[str, Columns] = {}  # as in the file
+        self._completed: dict[Topic, Columns] = {}
         self._measured: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
     @property
@@ -157,13 +158,20 @@ class Bag:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """One line for every topic that is left out."""
+        """One line for every topic that is left out, and one for a recording by a newer version."""
+        newer = [] if not self.newer_version else [newer_line(self.newer_version)]
         reasons = dict(self._contents.left_out)
         for name, messages in self._contents.messages.items():
             topic, type_name = topic_named(name), self._contents.types[name]
             if topic is not None and messages and topic.type_name != type_name:
                 reasons[name] = f"type = {type_name or 'none'}: must be {topic.type_name}"
-        return tuple(f"{topic}: left out: {reason}" for topic, reason in reasons.items())
+        left_out = (f"{topic}: left out: {reason}" for topic, reason in reasons.items())
+        return *newer, *left_out
+
+    @property
+    def newer_version(self) -> str:
+        """Version of this package that made the recording, if it is above ours; else empty."""
+        return newer_version(self.metadata.get("software", "").split("\n"))
 
     @cached_property
     def missing(self) -> tuple[str, ...]:
@@ -178,9 +186,18 @@ class Bag:
         # when the recording was cut, their counts are missing too
         publishers = self._publishers if self._contents.has_verified_end else ()
         completeness = Completeness(publishers, list(recorded))
+        uncounted = []
         for topic, messages in recorded.items():
-            for data in messages:
-                completeness.add(topic, sequence_of(topic, data))
+            try:
+                if messages and topic.sequenced:
+                    self.store_of_topic(topic)  # with other fields, the number stands elsewhere
+                for data in messages:
+                    completeness.add(topic, sequence_of(topic, data))
+            except MessageError as error:
+                raise RecordingError(f"{self.path}: {error}") from None
+            except RecordingError as error:
+                reason = str(error).removeprefix(f"{self.path}: ")
+                uncounted.append(f"lost messages cannot be counted: {reason}")
         ends = self._of_its_type(STREAM_COUNTS)
         for i, publisher in enumerate(ends.get("publisher", ())):
             topics, counts = ends["topics"][i], ends["counts"][i].tolist()
@@ -194,7 +211,7 @@ class Bag:
                 complete=bool(ends["complete"][i]),
                 reason=ends["reason"][i],
             )
-        return tuple(completeness.problems())
+        return (*uncounted, *completeness.problems())
 
     @property
     def cut(self) -> bool:
@@ -254,7 +271,10 @@ class Bag:
     @property
     def extremes(self) -> Extremes | None:
         """Strokes, torsion and forces between the samples too; None if not recorded."""
-        return self._known_at_end("extremes", extremes_from_text, "not as written")
+        extremes = self._known_at_end("extremes", extremes_from_text, "not as written")
+        if extremes is None or not self.holds(BENCH_EVENT):
+            return extremes
+        return with_forces_of_touches(extremes, self.touches, self.events)
 
     def _known_at_end(self, name: str, parse: Callable[[str], _T], otherwise: str) -> _T | None:
         text = self._contents.metadata.get(END_METADATA, {}).get(name)
@@ -296,7 +316,7 @@ class Bag:
 
         RecordingError if the file contains none, SceneError if it is not one of this version.
         """
-        return load_scene_text(self.scene_text)
+        return load_scene_text(self.scene_text, only_known=bool(self.newer_version))
 
     @property
     def is_simulated(self) -> bool:
@@ -371,13 +391,22 @@ class Bag:
     def columns(self, topic: str | Topic) -> Columns:
         """Return a topic's fields by path, see :func:`capture_sim.messages.cdr.columns`.
 
-        Empty for a topic without messages.  RecordingError if the messages do not fit their
-        definition, or if a topic of the bench has another type in the file.
+        Empty for a topic without messages.  A topic of the bench has all fields of its type: those
+        that came after the recording have their defaults; a topic given by name has those in the
+        file.  RecordingError if the messages do not fit their definition, if that lacks a field
+        without a default, or if a topic of the bench has another type in the file.
         """
         name = self._resolved(topic)
+        if isinstance(topic, Topic) and self._contents.messages.get(name):
+            self.store_of_topic(topic)
         if name not in self._columns:
             self._columns[name] = self._decoded(name)
-        return self._columns[name]
+        if isinstance(topic, str) or not self._columns[name]:
+            return self._columns[name]
+        if topic not in self._completed:
+            of_type = self.store_of_topic(topic), topic.type_name
+            self._completed[topic] = completed(self._columns[name], *of_type)
+        return self._completed[topic]
 
     def _decoded(self, name: str) -> Columns:
         messages = self._contents.messages.get(name)
@@ -390,6 +419,23 @@ class Bag:
             raise RecordingError(
                 f"{self.path}: definition of type {type_name!r} contains itself"
             ) from None
+        except MessageError as error:
+            raise self._unreadable(name, error) from None
+
+    def store_of_topic(self, topic: Topic) -> Typestore:
+        """Return the store of a topic's type; RecordingError if that lacks a field without default.
+
+        All that reads fields of the bench's topics comes by here.
+        """
+        store = self.store_for(topic.type_name)
+        try:
+            absent_fields(store, topic.type_name)
+        except MessageError as error:
+            raise RecordingError(f"{self.path}: {topic.name}: {error}") from None
+        return store
+
+    def _unreadable(self, name: str, error: MessageError) -> MessageError:
+        return MessageError(f"{self.path}: {name.lstrip('/')}: {error}")
 
     def series(self, topic: Topic, values: Callable[[Columns], np.ndarray]) -> Series:
         """Return the series of a topic's stamped messages.
@@ -425,9 +471,11 @@ class Bag:
         return self._measured[topic.name]
 
     def _measurements(self, topic: Topic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        read = MeasurementReader(topic, self.store_for(topic.type_name))
+        messages = self.raw(topic)
+        store = self.store_of_topic(topic) if messages else self.store_for(topic.type_name)
+        read = MeasurementReader(topic, store)
         rows, size, first_error = [], OF_A_BENCH[topic].size, None
-        for log_time, data in zip(self.log_times(topic).tolist(), self.raw(topic), strict=True):
+        for log_time, data in zip(self.log_times(topic).tolist(), messages, strict=True):
             try:
                 stamp, values = read(data)
             except NoJointsError:
@@ -438,7 +486,7 @@ class Bag:
             values += (math.nan,) * (2 * size - len(values))
             rows.append((stamp, log_time, values))
         if first_error is not None and not rows:
-            raise first_error
+            raise self._unreadable(topic.name, first_error)
         stamps, log_times = (np.array([row[i] for row in rows], dtype=np.int64) for i in (0, 1))
         return stamps, np.array([row[2] for row in rows]).reshape(-1, 2 * size), log_times
 
@@ -454,7 +502,8 @@ class Bag:
                 raise
             store = self.store_for(topic.type_name)
             kept = [data for data, is_kept in zip(messages, fits, strict=True) if is_kept]
-            return columns(store, topic.type_name, kept), log_times[np.array(fits)]
+            fields = columns(store, topic.type_name, kept)
+            return completed(fields, store, topic.type_name), log_times[np.array(fits)]
 
     def _fits(self, topic: Topic, data: bytes) -> bool:
         try:
@@ -470,8 +519,7 @@ class Bag:
         samples = np.zeros(len(recorded.get("t", ())), dtype=SAMPLE)
         if len(samples):
             for name in SAMPLE.names or ():
-                if name not in SINCE_FIRST_RECORDINGS or name in recorded:
-                    samples[name] = recorded[name]
+                samples[name] = recorded[name]
             self._check_numbers(BENCH_STATE, "phase", samples["phase"], Phase)
             samples["t"] -= self.clock.t_release
         samples.flags.writeable = False
@@ -483,7 +531,8 @@ class Bag:
         recorded = self.columns(BENCH_EVENT)
         kinds = {kind.label: kind for kind in EventKind}
         labels = recorded.get("kind", ())
-        if unknown := [label for label in labels if label not in kinds]:
+        unknown = [label for label in labels if label not in kinds]
+        if unknown and not self.newer_version:
             raise RecordingError(f"{self.path}: event of unknown kind {unknown[0]!r}")
         t_release = self.clock.t_release
         return tuple(
@@ -497,6 +546,7 @@ class Bag:
                 touch=_touch(recorded, i, t_release),
             )
             for i, label in enumerate(labels)
+            if label in kinds
         )
 
     @cached_property
@@ -561,18 +611,13 @@ class Bag:
     def store_for(self, type_name: str) -> Typestore:
         """Return a store that knows the type as this file defines it."""
         text = self._contents.schemas.get(type_name, "")
-        store = typestore()
-        if type_name in store.fielddefs and text == schema_text(type_name):
-            return store
         try:
-            store = get_typestore(Stores.EMPTY)
-            store.register(get_types_from_msg(text, type_name))
-        except (TypesysError, ValueError, KeyError, RecursionError) as error:
+            return store_of(type_name, text)
+        except NO_DEFINITION as error:
             reason = " ".join(str(error).split())
             raise RecordingError(
                 f"{self.path}: definition of type {type_name!r} cannot be read: {reason}"
             ) from None
-        return store
 
     def _resolved(self, topic: str | Topic) -> str:
         name = topic if isinstance(topic, str) else topic.name

@@ -133,6 +133,7 @@ def received_in(bag: Bag, scene: Scene | None) -> list[Received]:
     messages: list[tuple[int, Topic, bytes]] = []
     for topic in reader.topics:
         if bag.has(topic):
+            bag.store_of_topic(topic)  # RecordingError if its definition lacks a field
             messages += zip(bag.log_times(topic).tolist(), repeat(topic), bag.raw(topic))
     present = {reader.topics[topic] for _, topic, _ in messages}
     for source in Source:

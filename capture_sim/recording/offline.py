@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 from uuid import uuid4
 
 import numpy as np
-from mcap.records import Metadata
 
 from capture_sim.errors import RecordingError
 from capture_sim.files import free_path, is_device, whole_file
@@ -35,7 +33,7 @@ from capture_sim.messages.telemetry import (
     samples_per_message,
 )
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR, TOPICS, Topic
-from capture_sim.recording.scan import Damage, scan
+from capture_sim.recording.scan import head_metadata
 from capture_sim.recording.write import RUN_METADATA, RunWriter, describing
 from capture_sim.results import extremes_to_text
 
@@ -106,18 +104,11 @@ def _is_repeatable(path: Path, run: RunDescription | None) -> bool:
 
     With a run, only if the file is that run, of the same scene and software.
     """
-    with suppress(Exception):  # whatever it is, it is no such file
-        for part in scan(path, 1.0):
-            if isinstance(part, Damage) or part.messages:
-                break
-            for entry in part.entries:
-                if isinstance(entry, Metadata) and entry.name == RUN_METADATA:
-                    made_by = ("scene_sha256", "software")
-                    return entry.metadata.get("origin") == SIMULATED and (
-                        run is None
-                        or all(entry.metadata[key] == describing(run)[key] for key in made_by)
-                    )
-    return False
+    earlier = head_metadata(path).get(RUN_METADATA, {})
+    if earlier.get("origin") != SIMULATED:
+        return False
+    made_by = ("scene_sha256", "software")
+    return run is None or all(earlier.get(key) == describing(run)[key] for key in made_by)
 
 
 def run_stream(result: Run, run: RunDescription) -> Iterator[Sent]:

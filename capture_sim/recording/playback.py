@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import repeat
 from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
 
-from capture_sim.errors import RecordingError
+from capture_sim.errors import MessageError, RecordingError
 from capture_sim.messages.convert import RunDescription
-from capture_sim.messages.definitions import decoded, typestore
+from capture_sim.messages.definitions import NO_DEFINITION, decoded, store_of, typestore
+from capture_sim.messages.evolution import Translation
 from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, RunSource, topic_named
 from capture_sim.recording.bag import remap
 from capture_sim.recording.contents import read_contents
@@ -37,6 +39,7 @@ class Playback:
         self.left_out = contents.left_out
         #: Number of messages by topic.
         self.counts = {name: len(messages) for name, messages in contents.messages.items()}
+        self._translations = dict(self._translated())
         times = [times for times in contents.log_times.values() if times]
         if not times:
             reason = "; ".join(self.damage) or "it contains no message"
@@ -44,6 +47,20 @@ class Playback:
         #: First and last log time, ns.
         self.start = min(each[0] for each in times)
         self.end = max(each[-1] for each in times)
+
+    def _translated(self) -> Iterator[tuple[str, Translation]]:
+        """Yield the topics whose messages another version of this package has written."""
+        for name, type_name in self.types.items():
+            topic = topic_named(name)
+            if topic is None or topic.type_name != type_name or not self.counts[name]:
+                continue
+            with suppress(*NO_DEFINITION):  # without a definition, of this version or not at all
+                store = store_of(type_name, self._contents.schemas.get(type_name, ""))
+                if store.fielddefs.get(type_name) != typestore().fielddefs[type_name]:
+                    try:
+                        yield name, Translation(store, type_name)
+                    except MessageError as error:
+                        raise RecordingError(f"{self.path}: {name}: {error}") from None
 
     def messages(
         self, offset: float = 0.0, topics: Collection[str] | None = None
@@ -53,7 +70,8 @@ class Playback:
         Messages of one time come in the order of their topics in the file.  Of a transient local
         topic, the messages that a late subscriber would get at the offset (s after the start) come
         first, at its time: without the announcement of the run no node could follow it.
-        ``topics`` are the names of those that are played; None for all.
+        ``topics`` are the names of those that are played; None for all.  Messages of another
+        version are given as those of this one.
         """
         begin = self.start + round(offset * 1e9)
         played: list[tuple[int, int, str, bytes]] = []
@@ -65,7 +83,8 @@ class Playback:
                 times = self._contents.log_times[name][first:]
                 played += zip(times, repeat(rank), repeat(name), messages[first:])
         for time, _, name, data in sorted(played, key=itemgetter(0, 1)):
-            yield max(time, begin), name, data
+            translation = self._translations.get(name)
+            yield max(time, begin), name, data if translation is None else translation(data)
 
     def skipped(self, offset: float, topics: Collection[str]) -> dict[str, int]:
         """Return how many messages :meth:`messages` leaves out, by topic; no zeros."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -100,6 +100,17 @@ def scan(path: Path, ratio: float) -> Iterator[RecordContents | Damage]:
             yield from _contents_of_file(file, os.fstat(file.fileno()).st_size, ratio)
     except OSError as error:
         raise RecordingError(f"{path}: cannot read: {error.strerror or error}") from None
+
+
+def head_metadata(path: Path) -> dict[str, Mapping[str, str]]:
+    """Return the metadata records before a file's first message, by name; none of another file."""
+    found: dict[str, Mapping[str, str]] = {}
+    with suppress(Exception):  # whatever it is, it is no recording
+        for part in scan(path, 1.0):
+            if isinstance(part, Damage) or part.messages:
+                break
+            found |= {e.name: e.metadata for e in part.entries if isinstance(e, Metadata)}
+    return found
 
 
 def _contents_of_file(

@@ -282,6 +282,19 @@ def _build(data: Any, part: Any, where: str, mistakes: list[str]) -> Any:
     return part(**values) if len(mistakes) == n_mistakes else None
 
 
+def known_fields(data: Mapping[str, Any], part: type = Scene) -> dict[str, Any]:
+    """Return the fields of a part and of the parts in it that this version knows."""
+    kept = {}
+    for name, spec in declared(part).items():
+        if name in data:
+            value, kind = data[name], spec.kind
+            is_inner = isinstance(kind, type) and dataclasses.is_dataclass(kind)
+            kept[name] = (
+                known_fields(value, kind) if is_inner and isinstance(value, Mapping) else value
+            )
+    return kept
+
+
 def _missing_hint(name: str, spec: Declared) -> str:
     """Return the unit of a missing number, or how to get a part with all its default values."""
     is_part = dataclasses.is_dataclass(spec.kind)

@@ -6,9 +6,11 @@ import dataclasses
 import importlib
 import math
 import operator
+import os
 import re
 from collections import Counter
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
 
 import capture_sim
 from capture_sim.errors import CaptureSimError, MessageError
@@ -32,7 +35,8 @@ from capture_sim.messages.convert import (
     stamps_ns,
     string_phases,
 )
-from capture_sim.messages.definitions import typestore
+from capture_sim.messages.definitions import is_known, learn_type, typestore
+from capture_sim.messages.standard import STANDARD
 from capture_sim.messages.telemetry import (
     BenchTelemetry,
     ContactInterval,
@@ -106,6 +110,26 @@ def test_every_interface_of_the_package_has_a_topic_and_every_topic_a_type():
     }
     sent = {t.type_name for t in TOPICS if t.type_name.startswith("capture_sim/")}
     assert ours == sent | in_services | {topics.ROLL.type_name}
+
+
+def test_standard_types_are_those_of_ros_and_others_come_on_demand():
+    jazzy = get_typestore(Stores.ROS2_JAZZY)
+    store = typestore.__wrapped__()  # in which nothing was looked up yet
+    assert {name: jazzy.fielddefs[name] for name in STANDARD} == STANDARD
+    # what the topics need, and no more of ROS
+    others = {topic.type_name for topic in TOPICS} - STANDARD.keys()
+    assert all(name.startswith("capture_sim/") for name in others)
+    assert store.types.keys() - STANDARD.keys() == {
+        f"capture_sim/msg/{path.stem}" for path in message_dir().glob("*.msg")
+    }
+    for name in STANDARD:
+        assert store.hash_rihs01(name) == jazzy.hash_rihs01(name)
+        assert store.generate_msgdef(name) == jazzy.generate_msgdef(name)
+    assert store.fielddefs["sensor_msgs/msg/Imu"] == jazzy.fielddefs["sensor_msgs/msg/Imu"]
+    assert store.hash_rihs01("sensor_msgs/msg/Imu") == jazzy.hash_rihs01("sensor_msgs/msg/Imu")
+    assert is_known("std_msgs/msg/String")
+    assert not is_known("no_msgs/msg/Such")
+    assert not learn_type("no_msgs/msg/Such", Path(os.devnull))
 
 
 def test_table_says_truly_which_types_carry_stamp_and_sequence():

@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 
 import capture_sim
 from capture_sim.cli import main
-from capture_sim.commands.output import report
+from capture_sim.commands.results_folder import Recorded, ResultsFolder
 from capture_sim.errors import RecordingError
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
@@ -214,7 +214,7 @@ def test_results_of_a_cut_recording_are_marked(path, broken, tmp_path, capsys):
     """In the table, printed and kept, in the numbers, the picture's title and the report."""
     data = path.read_bytes()
     run = read_run(damaged(broken, data[: len(data) // 2]))
-    report([run.summary], tmp_path)
+    ResultsFolder(tmp_path).add([Recorded(run, None)])
     reason = run.problems[0]
     for table in (capsys.readouterr().out, (tmp_path / "results.txt").read_text()):
         assert "\n  INCOMPLETE\n" in table
@@ -227,7 +227,7 @@ def test_results_of_a_cut_recording_are_marked(path, broken, tmp_path, capsys):
     # as a run that had to stop; a whole one bears no mark
     stopped = ["run", "tilt_0", "--set", "run.max_steps=300", "--no-record", "--out", str(tmp_path)]
     assert main(stopped) == 1
-    (summary,) = json.loads((tmp_path / "results.json").read_text())
+    summary = json.loads((tmp_path / "results.json").read_text())[-1]
     assert "max_steps" in summary["problems"][0]
     whole = read_run(path)
     assert whole.summary["problems"] == []

@@ -1,0 +1,110 @@
+"""Messages of other versions of this package: what a file's definition lacks gets its default.
+
+The rule of evolution, for messages, scenes and results alike, is in CONTRIBUTING.md: they only
+gain fields.  A field that came after the first recordings has its default in its line of the
+``.msg`` file, in ROS's own syntax (``float64 dissipated_slide 0.0``).  MCAP files contain the
+definitions that they were written with.  What such a definition lacks is filled in here; what it
+has in addition comes from a newer version and is left out.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+import numpy as np
+import yaml
+from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
+from rosbags.typesys.store import Typestore
+
+from capture_sim.errors import MessageError
+from capture_sim.messages.cdr import Columns, fill
+from capture_sim.messages.definitions import blank, own_definition, typestore
+
+_FIELD_WITH_DEFAULT = re.compile(r"[^\s#]+\s+(?P<name>[a-z]\w*)\s+(?P<value>[^\s#=][^#]*)")
+
+
+@cache
+def defaults(type_name: str) -> dict[str, Any]:
+    """Return the defaults that a type of this package declares, by field."""
+    found = map(_FIELD_WITH_DEFAULT.match, own_definition(type_name).splitlines())
+    declared = {match["name"]: yaml.safe_load(match["value"]) for match in found if match}
+    message = blank(type_name)
+    for name, value in declared.items():
+        fill(message, name, value)
+    return {name: getattr(message, name) for name in declared}
+
+
+def absent_fields(store: Typestore, type_name: str) -> tuple[str, ...]:
+    """Return the fields of a type that another store's definition of it lacks.
+
+    All have a default.  MessageError if one has none, or if a field is of another type there.
+    """
+    if store is typestore() or type_name not in typestore().fielddefs:
+        return ()
+    absent = tuple(_absent(store, type_name, ""))
+    for name in absent:
+        if name not in defaults(type_name):
+            raise MessageError(f"{type_name}: the file's definition has no field {name}")
+    return absent
+
+
+def _absent(store: Typestore, type_name: str, prefix: str) -> Iterator[str]:
+    theirs = dict(store.fielddefs[type_name][1])
+    for name, kind in typestore().fielddefs[type_name][1]:
+        if name not in theirs:
+            yield f"{prefix}{name}"
+        elif theirs[name] != kind:
+            raise MessageError(f"{type_name}: {prefix}{name} has another type in the file")
+        elif kind[0] is Nodetype.NAME:
+            yield from _absent(store, str(kind[1]), f"{prefix}{name}.")
+
+
+def completed(columns: Columns, store: Typestore, type_name: str) -> Columns:
+    """Return the columns of n messages of a store's type with the defaults of what it lacks.
+
+    MessageError as in :func:`absent_fields`.
+    """
+    absent = absent_fields(store, type_name)
+    n = len(next(iter(columns.values()), ()))
+    return {**columns, **{name: _repeated(defaults(type_name)[name], n) for name in absent}}
+
+
+def _repeated(value: Any, n: int) -> np.ndarray:
+    """Return a column of n times a value: (n,) or (n, m), of objects for texts."""
+    if isinstance(value, str | list):
+        column = np.empty(n, dtype=object)
+        column[:] = [value] * n if isinstance(value, str) else [[*value] for _ in range(n)]
+    else:
+        column = np.repeat(np.asarray(value)[np.newaxis], n, axis=0)
+    column.flags.writeable = False
+    return column
+
+
+class Translation:
+    """Makes serialised messages of another store's type into those of this version.
+
+    MessageError as in :func:`absent_fields`.
+    """
+
+    def __init__(self, store: Typestore, type_name: str) -> None:
+        absent = absent_fields(store, type_name)
+        self._store, self._type_name = store, type_name
+        names = (name for name, _ in typestore().fielddefs[type_name][1])
+        self._kept = [name for name in names if name not in absent]
+        self._message = blank(type_name)
+        for name in absent:
+            setattr(self._message, name, defaults(type_name)[name])
+
+    def __call__(self, data: bytes) -> bytes:
+        """Return the message of this version; MessageError if the bytes are no such message."""
+        try:
+            message = self._store.deserialize_cdr(data, self._type_name)
+        except (SerdeError, UnicodeDecodeError) as error:
+            raise MessageError(f"{self._type_name}: {error}") from None
+        for name in self._kept:
+            setattr(self._message, name, getattr(message, name))
+        return bytes(typestore().serialize_cdr(self._message, self._type_name))

@@ -1,0 +1,114 @@
+"""The message types of ROS 2 that topics of the suite have, as rosbags describes them.
+
+To load all types of ROS 2 takes longer than all that a node loads besides; tests compare these with
+them.
+"""
+
+from rosbags.interfaces import Nodetype
+from rosbags.interfaces.typing import Typesdict
+
+_BASE, _NAME, _ARRAY = Nodetype.BASE, Nodetype.NAME, Nodetype.ARRAY
+_SEQUENCE = Nodetype.SEQUENCE
+#: Constants and fields by type.
+STANDARD: Typesdict = {
+    "builtin_interfaces/msg/Time": (
+        [],
+        [("sec", (_BASE, ("int32", 0))), ("nanosec", (_BASE, ("uint32", 0)))],
+    ),
+    "geometry_msgs/msg/Point": (
+        [],
+        [
+            ("x", (_BASE, ("float64", 0))),
+            ("y", (_BASE, ("float64", 0))),
+            ("z", (_BASE, ("float64", 0))),
+        ],
+    ),
+    "geometry_msgs/msg/Pose": (
+        [],
+        [
+            ("position", (_NAME, "geometry_msgs/msg/Point")),
+            ("orientation", (_NAME, "geometry_msgs/msg/Quaternion")),
+        ],
+    ),
+    "geometry_msgs/msg/PoseStamped": (
+        [],
+        [("header", (_NAME, "std_msgs/msg/Header")), ("pose", (_NAME, "geometry_msgs/msg/Pose"))],
+    ),
+    "geometry_msgs/msg/PoseWithCovariance": (
+        [],
+        [
+            ("pose", (_NAME, "geometry_msgs/msg/Pose")),
+            ("covariance", (_ARRAY, ((_BASE, ("float64", 0)), 36))),
+        ],
+    ),
+    "geometry_msgs/msg/Quaternion": (
+        [],
+        [
+            ("x", (_BASE, ("float64", 0))),
+            ("y", (_BASE, ("float64", 0))),
+            ("z", (_BASE, ("float64", 0))),
+            ("w", (_BASE, ("float64", 0))),
+        ],
+    ),
+    "geometry_msgs/msg/Twist": (
+        [],
+        [
+            ("linear", (_NAME, "geometry_msgs/msg/Vector3")),
+            ("angular", (_NAME, "geometry_msgs/msg/Vector3")),
+        ],
+    ),
+    "geometry_msgs/msg/TwistWithCovariance": (
+        [],
+        [
+            ("twist", (_NAME, "geometry_msgs/msg/Twist")),
+            ("covariance", (_ARRAY, ((_BASE, ("float64", 0)), 36))),
+        ],
+    ),
+    "geometry_msgs/msg/Vector3": (
+        [],
+        [
+            ("x", (_BASE, ("float64", 0))),
+            ("y", (_BASE, ("float64", 0))),
+            ("z", (_BASE, ("float64", 0))),
+        ],
+    ),
+    "geometry_msgs/msg/Wrench": (
+        [],
+        [
+            ("force", (_NAME, "geometry_msgs/msg/Vector3")),
+            ("torque", (_NAME, "geometry_msgs/msg/Vector3")),
+        ],
+    ),
+    "geometry_msgs/msg/WrenchStamped": (
+        [],
+        [
+            ("header", (_NAME, "std_msgs/msg/Header")),
+            ("wrench", (_NAME, "geometry_msgs/msg/Wrench")),
+        ],
+    ),
+    "nav_msgs/msg/Odometry": (
+        [],
+        [
+            ("header", (_NAME, "std_msgs/msg/Header")),
+            ("child_frame_id", (_BASE, ("string", 0))),
+            ("pose", (_NAME, "geometry_msgs/msg/PoseWithCovariance")),
+            ("twist", (_NAME, "geometry_msgs/msg/TwistWithCovariance")),
+        ],
+    ),
+    "rosgraph_msgs/msg/Clock": ([], [("clock", (_NAME, "builtin_interfaces/msg/Time"))]),
+    "sensor_msgs/msg/JointState": (
+        [],
+        [
+            ("header", (_NAME, "std_msgs/msg/Header")),
+            ("name", (_SEQUENCE, ((_BASE, ("string", 0)), 0))),
+            ("position", (_SEQUENCE, ((_BASE, ("float64", 0)), 0))),
+            ("velocity", (_SEQUENCE, ((_BASE, ("float64", 0)), 0))),
+            ("effort", (_SEQUENCE, ((_BASE, ("float64", 0)), 0))),
+        ],
+    ),
+    "std_msgs/msg/Bool": ([], [("data", (_BASE, ("bool", 0)))]),
+    "std_msgs/msg/Header": (
+        [],
+        [("stamp", (_NAME, "builtin_interfaces/msg/Time")), ("frame_id", (_BASE, ("string", 0)))],
+    ),
+}
