@@ -9,7 +9,8 @@ from pathlib import Path
 from capture_sim.commands import FAILED
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_experiments, load_all, number, prepare_folder, reader
-from capture_sim.commands.output import IMAGES_MISSING, draw, report, reported_if_interrupted, warn
+from capture_sim.commands.output import IMAGES_MISSING, reported_if_interrupted, warn
+from capture_sim.commands.results_folder import Recorded, ResultsFolder
 from capture_sim.control.pacing import FACTORS
 from capture_sim.nodes.supervisor import check_ros, run_suite
 from capture_sim.recording.read import read_run
@@ -50,16 +51,18 @@ def run(options: argparse.Namespace) -> int:
     check_ros()
     scenes = load_all(options.experiments, options.overrides)
     prepare_folder(options.out)
+    folder = ResultsFolder(options.out)
     compile_first()
     with reported_if_interrupted(f"only recordings are written to {options.out}"):
         status, recordings = run_suite(
             scenes, options.out, rtf=options.rtf, namespace=options.namespace or ""
         )
-    runs = [run for run in map(read_run, recordings) if run.is_exact]
-    report([run.summary for run in runs], options.out)
+    read = (Recorded(read_run(path), Path(path)) for path in recordings)
+    runs = [one for one in read if one.run.is_exact]
+    folder.add(runs)
     with reported_if_interrupted(IMAGES_MISSING):
-        draw(runs, [Path(run.origin.path).stem for run in runs], options.out)
-    missing = {scene.name for scene in scenes} - {run.name for run in runs}
+        folder.draw(runs)
+    missing = {scene.name for scene in scenes} - {one.run.name for one in runs}
     if missing:
         warn(f"no result for {', '.join(sorted(missing))}")
         return int(status) or FAILED

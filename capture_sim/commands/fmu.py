@@ -10,12 +10,14 @@ from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_overrides, load
 from capture_sim.commands.output import echo
 from capture_sim.errors import SceneError
-from capture_sim.files import why_no_file, why_not_writable
+from capture_sim.files import is_device, why_no_file, why_not_writable
 from capture_sim.fmu.description import write_fmu
 from capture_sim.fmu.library import make_unit, write_library
 
 DESCRIPTION = "Write a scene as a co-simulation unit (FMI 3.0) or as a library in C."
 EXAMPLE = "  capture-sim fmu tilt_0 --out tilt_0.fmu\n  capture-sim fmu tilt_0 --c build/tilt_0"
+#: Suffix of a unit; FMI tools open no other file.
+SUFFIX = ".fmu"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +26,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_overrides(parser)
     form = parser.add_mutually_exclusive_group()
     form.add_argument(
-        "--out", type=Path, metavar="FILE", help="write the unit to FILE (default: SCENE.fmu)"
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="write the unit to FILE, which gets the suffix .fmu if it lacks it (default: "
+        "SCENE.fmu)",
     )
     form.add_argument(
         "--c", type=Path, metavar="FOLDER", help="write a shared library and its header instead"
@@ -40,7 +46,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     scene = load(options.scene, options.overrides)
-    path = options.out or Path(f"{scene.name}.fmu")
+    path = options.out or Path(f"{scene.name}{SUFFIX}")
+    if not options.c and path.suffix != SUFFIX and not path.is_dir() and not is_device(path):
+        path = path.with_name(path.name + SUFFIX)
+        echo(f"--out {options.out}: written to {path}, as FMI tools open files ending in {SUFFIX}")
     reason = why_not_writable(options.c) if options.c else why_no_file(path)
     if reason:
         raise SceneError(f"{options.c or path}: {reason}")

@@ -22,6 +22,9 @@ from capture_sim.scene.paths import ALIASES, value_of
 from capture_sim.studies.identify import RELEASE, identify, is_explained
 from capture_sim.tables import print_table
 
+#: Standard deviations of a touch's time, s, and peak force, N, where no sampled force shows them.
+TOUCH_NOISE = (2e-4, 2.0)
+
 DESCRIPTION = (
     "Fit parameters of the scene to a recorded or measured run: c_rr (rolling resistance of both "
     "vehicles), e, mu, c_A, or any number of the scene, e.g. buffer.k_A. The fit uses poses, "
@@ -68,10 +71,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--touch-noise",
         nargs=2,
         type=not_negative,
-        default=(2e-4, 2.0),
         metavar=("S", "N"),
-        help="set the standard deviations of a touch's time, s, and peak force, N (default: 2e-4 "
-        "2)",
+        help="set the standard deviations of a touch's time, s, and peak force, N (default: for "
+        "touches found in a sampled force, one of its sample intervals and its noise; otherwise "
+        "2e-4 2)",
     )
     parser.add_argument(
         "--starts",
@@ -102,7 +105,9 @@ def run(options: argparse.Namespace) -> int:
     if options.touches > 0:
         found, source = recorded.resolved_touches
         if found is not None:
-            touches = found.of(slice(options.touches)).with_noise(*options.touch_noise)
+            touches = found.of(slice(options.touches))
+            if options.touch_noise is not None or not touches.is_noise_known:
+                touches = touches.with_noise(*(options.touch_noise or TOUCH_NOISE))
     fit = identify(
         scene,
         recorded,

@@ -137,8 +137,8 @@ def add_experiments(parser: argparse.ArgumentParser) -> None:
         default=Path("runs"),
         help="write the results to this folder (default: runs). A recording of the nodes or of a "
         "bench is never overwritten: the new one and its plot get a number after their name. "
-        "results.txt, results.json, overview.png and runs.rrd are replaced by every command that "
-        "completes a run",
+        "results.txt and results.json have a row for every recording in the folder; overview.png "
+        "and runs.rrd show the latest",
     )
     add_overrides(parser)
 

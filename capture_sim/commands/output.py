@@ -136,21 +136,6 @@ def drawing(lacking: str = "no plot: {error}") -> Iterator[None]:
         echo(lacking.format(error=error))
 
 
-def report(summaries: list[dict[str, Any]], folder: Path) -> None:
-    """Print the table of results, and write it and its numbers to ``folder``.
-
-    Without a result nothing is written: the files of an earlier command are kept.
-    """
-    from capture_sim.results import table
-
-    if not summaries:
-        return
-    text = table(summaries)
-    echo(f"\n{text}\n")
-    kept = write_text(folder / "results.txt", text + "\n")
-    echo(f"table in {kept}, numbers in {write_json(folder / 'results.json', summaries)}")
-
-
 def draw(
     runs: Sequence[Run],
     labels: Sequence[str],
@@ -159,6 +144,7 @@ def draw(
     *,
     pictures: bool = True,
     window: tuple[float, float] | None = None,
+    beside: Sequence[tuple[Run, str]] = (),
 ) -> None:
     """Draw each run, all side by side, and all for rerun, if the libraries are installed.
 
@@ -176,15 +162,18 @@ def draw(
         False to write only the file for rerun.
     window
         Time that this file shows, s since the release; None for the whole runs.
+    beside
+        Further runs with their names, which are only drawn beside the others.
     """
     if not runs:
         return
+    together = [*(run for run, _ in beside), *runs], [*(label for _, label in beside), *labels]
     jobs: list[_Job] = []
     if pictures:
         with drawing("no plots: {error}"):
-            jobs += _picture_jobs(runs, labels, folder)
+            jobs += _picture_jobs(runs, labels, folder, together)
     path = folder / RRD if rrd is None else rrd
-    jobs.append(_Job("rerun file in", _save_rrd, (runs, path, labels, window)))
+    jobs.append(_Job("rerun file in", _save_rrd, (together[0], path, together[1], window)))
     # forked, so that each process shares what is loaded and loads what only its job needs
     fork = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(
@@ -209,16 +198,21 @@ class _Job(NamedTuple):
     arguments: tuple[Any, ...]
 
 
-def _picture_jobs(runs: Sequence[Run], labels: Sequence[str], folder: Path) -> Iterator[_Job]:
+def _picture_jobs(
+    runs: Sequence[Run],
+    labels: Sequence[str],
+    folder: Path,
+    together: tuple[Sequence[Run], Sequence[str]],
+) -> Iterator[_Job]:
     from capture_sim.viewing.plots import draw_overview, draw_run
 
     for run, label in zip(runs, labels, strict=True):
         # the label is the overview's name
         name = f"{label}_run.png" if f"{label}.png" == OVERVIEW else f"{label}.png"
         yield _Job("plot in", _save_picture, (draw_run, run, label, folder / name))
-    if len(runs) > 1:
+    if len(together[0]) > 1:
         yield _Job(
-            "plots side by side in", _save_picture, (draw_overview, runs, labels, folder / OVERVIEW)
+            "plots side by side in", _save_picture, (draw_overview, *together, folder / OVERVIEW)
         )
 
 

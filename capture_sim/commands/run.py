@@ -10,16 +10,14 @@ from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_experiments, load_all, prepare_folder
 from capture_sim.commands.output import (
     IMAGES_MISSING,
-    draw,
     echo,
-    report,
     reported_if_interrupted,
     warn,
 )
+from capture_sim.commands.results_folder import Recorded, ResultsFolder
 from capture_sim.errors import SimulationError
 from capture_sim.launch.scenes import overridden_name
 from capture_sim.results import implausible_stroke
-from capture_sim.run import Run
 from capture_sim.simulation import simulate
 
 DESCRIPTION = "Run scenes without ROS; record, tabulate and draw the results."
@@ -47,9 +45,9 @@ def run(options: argparse.Namespace) -> int:
         # imported here: the import needs more time than a run without recording
         from capture_sim.recording.offline import write_run
     prepare_folder(options.out)
+    folder = ResultsFolder(options.out)
     compile_first()
-    results: list[Run] = []
-    recordings: list[str] = []
+    runs: list[Recorded] = []
     status = OK
     with reported_if_interrupted("only the recordings named above are written"):
         for scene in scenes:
@@ -63,14 +61,14 @@ def run(options: argparse.Namespace) -> int:
                 result = error.result
             if text := implausible_stroke(scene, result.summary["max_axial_stroke_in"]):
                 warn(f"{scene.name}: {text}")
-            results.append(result)
+            path = None
             if not options.no_record:
                 file = options.out / f"{scene.name}.mcap"
                 path = write_run(result, file, overwrite=options.overwrite)
-                recordings.append(path.stem)
                 echo(f"{scene.name}: recorded in {path}")
-    report([result.summary for result in results], options.out)
+            runs.append(Recorded(result, path))
+    folder.add(runs)
     if not options.no_record:
         with reported_if_interrupted(IMAGES_MISSING):
-            draw(results, recordings, options.out)
+            folder.draw(runs)
     return status

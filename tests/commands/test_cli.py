@@ -9,9 +9,10 @@ from bags import of_a_bench
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
-from capture_sim.commands import run
+from capture_sim.commands import results_folder
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
+from capture_sim.results import NOT_NUMBERS
 
 
 def test_run_prints_a_table_and_writes_numbers(tmp_path, capsys):
@@ -27,7 +28,7 @@ def test_run_prints_a_table_and_writes_numbers(tmp_path, capsys):
         "impact_speed_missing",
         *("first_contact_time", "first_contact_duration", "first_contact_touches"),
         *("first_contact_peak_force", "normal_impulse", "loads_from", "energy_residual"),
-        *("wall_time", "real_time_factor", "made_by"),
+        *("wall_time", "real_time_factor", "made_by", "recording"),
         *simulate("paper_designed", t_end=0.1).loads,
     }
     assert (tmp_path / "results.txt").read_text(encoding="utf-8").strip() in out
@@ -45,8 +46,8 @@ def test_run_records_and_the_recording_gives_the_same_run_again(tmp_path, capsys
 
     def numbers(folder):
         row = json.loads((folder / "results.json").read_text(encoding="utf-8"))[0]
-        assert row.pop("made_by")["overrides"] == ["buffer.c_A=14"]
-        return {k: v for k, v in row.items() if k not in ("wall_time", "real_time_factor")}
+        assert row["made_by"]["overrides"] == ["buffer.c_A=14"]
+        return {k: v for k, v in row.items() if k not in NOT_NUMBERS}
 
     assert numbers(first) == numbers(second)
     capsys.readouterr()
@@ -54,7 +55,7 @@ def test_run_records_and_the_recording_gives_the_same_run_again(tmp_path, capsys
 
 def test_no_run_is_lost_unless_overwriting_is_asked_for(tmp_path, capsys, monkeypatch):
     """Runs of other scenes in one folder; the same run made again is one file."""
-    monkeypatch.setattr(run, "draw", lambda *_: None)  # a second each
+    monkeypatch.setattr(results_folder, "draw", lambda *_, **__: None)  # a second each
     command = ["run", "paper_designed", "--out", str(tmp_path), "--set", "run.t_end=0.02"]
 
     def recordings():
@@ -108,7 +109,7 @@ def test_command_that_made_no_run_leaves_earlier_results(tmp_path, capsys, monke
 
 
 def test_a_failed_run_says_why_and_keeps_what_was_computed(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(run, "draw", lambda *_: None)
+    monkeypatch.setattr(results_folder, "draw", lambda *_, **__: None)
     status = main(["run", "paper_designed", "--set", "run.max_steps=300", "--out", str(tmp_path)])
     seen = capsys.readouterr()
     assert status == 1
@@ -131,7 +132,7 @@ def test_scenes_and_show(capsys):
     "command, step, message",
     [
         (["run", "tilt_0", "paper_undamped"], "run.simulate", "only the recordings named above"),
-        (["run", "paper_undamped"], "run.draw", "named above are complete, other plots"),
+        (["run", "paper_undamped"], "results_folder.draw", "named above are complete, other plots"),
         (["report", "tilt_0", "--out", "x.html"], "report.save_report", "x.html is not written"),
         (["view", "tilt_0"], "view.open_runs", "nothing is written"),
         (["view", "paper_undamped"], "view.draw", "named above are complete, other plots"),
@@ -160,6 +161,6 @@ def test_ctrl_c_says_what_is_written(command, step, message, tmp_path, monkeypat
     written = {path.name for path in tmp_path.rglob("*") if path.is_file()}
     assert written == {
         "run.simulate": {"tilt_0.mcap"},
-        "run.draw": {"paper_undamped.mcap", "results.txt", "results.json"},
+        "results_folder.draw": {"paper_undamped.mcap", "results.txt", "results.json"},
     }.get(step, set())
     assert all(name in out for name in written)

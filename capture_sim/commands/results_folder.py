@@ -1,0 +1,234 @@
+"""The tables and plots of a folder of results, beside the recordings that they show.
+
+One rule: ``results.json`` and ``results.txt`` have a row for every recording of capture_sim in
+their folder, and nothing that a command has measured leaves them.
+
+- A command adds its runs.  A row is replaced with its recording: by the same simulated run again,
+  with ``--overwrite``, or if the file has changed since.
+- A recording without a row is read: a command was killed, or the file was recorded by a node, was
+  copied here or is older than the rule.  One without results has a row with the reason.
+- A row without a recording (``--no-record``, or its file was deleted) stays until a run with the
+  same numbers comes.
+- A ``results.json`` that is not such a table is kept under another name.
+- ``overview.png`` and ``runs.rrd`` show the command's runs and the latest other recordings, up to
+  :data:`SHOWN` in all.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from capture_sim.commands.output import draw, echo, warn, write_json, write_text
+from capture_sim.errors import CaptureSimError, one_line
+from capture_sim.files import free_path
+from capture_sim.results import NOT_NUMBERS, RECORDING, row_from, row_without_results, table
+
+if TYPE_CHECKING:
+    from capture_sim.run import Run
+
+NUMBERS = "results.json"
+TABLE = "results.txt"
+#: Largest number of runs that are drawn together, unless one command has made more.
+SHOWN = 6
+#: Mark of a row that has no recording, beside others that have one.
+_UNRECORDED = "*"
+
+Row = dict[str, Any]
+
+
+class Recorded(NamedTuple):
+    """A run, and its file in the folder; None if it was not recorded."""
+
+    run: Run
+    path: Path | None
+
+    @property
+    def label(self) -> str:
+        """Name of the run in tables and plots: its recording's, as a scene may have several."""
+        return self.run.name if self.path is None else self.path.stem
+
+
+class ResultsFolder:
+    """A folder that a command writes runs to; make it before the first recording."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        with suppress(OSError, ValueError, RecursionError):
+            self._deleted = {row[RECORDING] for row in _rows_in(folder / NUMBERS)}
+            self._deleted -= {path.name for path in folder.glob("*.mcap")}
+            return
+        self._deleted = set()
+
+    def add(self, runs: Sequence[Recorded]) -> None:
+        """Print the table of the command's runs, and bring the folder's tables up to date.
+
+        Without a run nothing is written.
+        """
+        if not runs:
+            return
+        own = [_plain({**run.run.summary, RECORDING: run.path and run.path.name}) for run in runs]
+        labels = [run.label for run in runs]
+        echo(f"\n{table(own, labels)}\n")
+        with _alone(self._folder):
+            rows, notes = self._merged(own)
+            numbers = write_json(self._folder / NUMBERS, rows)
+            text = "\n".join([table(rows, _labels(rows)), *notes])
+            kept = write_text(self._folder / TABLE, text + "\n")
+        of = "table" if len(rows) == len(own) else f"table of all {len(rows)} runs"
+        echo(f"{of} in {kept}, numbers in {numbers}")
+
+    def draw(self, runs: Sequence[Recorded]) -> None:
+        """Draw each run of the command, and all of them beside the folder's latest others."""
+        if not runs:
+            return
+        own = {run.path for run in runs}
+        others: list[tuple[Run, str]] = []
+        for path in reversed(self._recordings()):
+            if len(others) + len(runs) >= SHOWN:
+                break
+            if path not in own and (run := _drawable(path)) is not None:
+                others.insert(0, (run, path.stem))
+        names = [run.label for run in runs]
+        draw([run.run for run in runs], names, self._folder, beside=others)
+
+    def _merged(self, own: Sequence[Row]) -> tuple[list[Row], list[str]]:
+        """Return the rows of the folder, those of the command last, and notes on other files."""
+        numbers = self._folder / NUMBERS
+        rows, written = self._earlier(numbers)
+        taken = {row[RECORDING] for row in own}
+        read, foreign = [], []
+        for path in self._recordings():
+            if path.name in taken:
+                continue
+            known = any(row[RECORDING] == path.name for row in rows)
+            if known and path.stat().st_mtime_ns < written:
+                continue
+            row = _row_of(path)
+            if row is None:
+                foreign.append(path.name)
+            else:
+                read.append(row)
+        new = [*read, *own]
+        present = {path.name for path in self._folder.glob("*.mcap")} - self._deleted
+        for row in rows:
+            if row[RECORDING] not in present:
+                row[RECORDING] = None  # deleted, even if a run of this command has its name now
+        replaced = {row[RECORDING] for row in new} - {None}
+        rows = [*(row for row in rows if row[RECORDING] not in replaced), *new]
+        rows = [row for i, row in enumerate(rows) if not _is_repeated(row, rows[:i], rows[i + 1 :])]
+        notes = [f"Without a row, as capture_sim did not record it: {name}." for name in foreign]
+        if any(row[RECORDING] for row in rows) and not all(row[RECORDING] for row in rows):
+            notes.append(f"{_UNRECORDED} The run has no recording in this folder.")
+        return rows, notes
+
+    def _earlier(self, numbers: Path) -> tuple[list[Row], int]:
+        """Return the rows of the folder's table, and when it was written, ns."""
+        try:
+            return _rows_in(numbers), numbers.stat().st_mtime_ns
+        except FileNotFoundError:
+            return [], 0
+        except (OSError, ValueError, RecursionError) as error:
+            other = free_path(numbers)
+            with suppress(OSError):
+                numbers.rename(other)
+                warn(f"{numbers}: not a table of runs: {error}; kept as {other}")
+            return [], 0
+
+    def _recordings(self) -> list[Path]:
+        """Return the visible MCAP files of the folder, the latest last."""
+
+        def modified(path: Path) -> tuple[int, str]:
+            with suppress(OSError):
+                return path.stat().st_mtime_ns, path.name
+            return 0, path.name
+
+        files = [p for p in self._folder.glob("*.mcap") if p.name[0] != "." and p.is_file()]
+        return sorted(files, key=modified)
+
+
+def _rows_in(numbers: Path) -> list[Row]:
+    """Return the rows of a table; ValueError if the file is none."""
+    entries = json.loads(numbers.read_text(encoding="utf-8"))
+    if not isinstance(entries, list):
+        raise ValueError("must be a list of runs")
+    return [row_from(entry, f"run {i + 1}") for i, entry in enumerate(entries)]
+
+
+def _row_of(path: Path) -> Row | None:
+    """Return the row of a recording; None if capture_sim did not record the file."""
+    from capture_sim.recording.read import read_run
+    from capture_sim.recording.scan import head_metadata
+    from capture_sim.recording.write import RUN_METADATA
+
+    if RUN_METADATA not in head_metadata(path):
+        return None
+    try:
+        summary = read_run(path).summary
+    except CaptureSimError as error:
+        reason = one_line(str(error)).removeprefix(f"{path}: ")
+        summary = row_without_results(path.stem, f"no results: {reason}")
+    return _plain({**summary, RECORDING: path.name})
+
+
+def _drawable(path: Path) -> Run | None:
+    """Return a run that can be drawn beside others; None for any other file."""
+    from capture_sim.recording.read import read_run
+    from capture_sim.recording.scan import head_metadata
+    from capture_sim.recording.write import RUN_METADATA
+    from capture_sim.viewing.curves import plotted_runs
+
+    if RUN_METADATA not in head_metadata(path):
+        return None
+    try:
+        run = read_run(path)
+        plotted_runs([run], [path.stem])
+    except CaptureSimError:
+        return None
+    return run
+
+
+def _labels(rows: Sequence[Row]) -> list[str]:
+    """Return the names of rows: their recordings', or the runs' with a mark beside such."""
+    mark = f" {_UNRECORDED}" if any(row[RECORDING] for row in rows) else ""
+    return [Path(row[RECORDING]).stem if row[RECORDING] else f"{row['name']}{mark}" for row in rows]
+
+
+def _is_repeated(row: Row, before: Sequence[Row], after: Sequence[Row]) -> bool:
+    """Return True if a row has no recording, and a recorded or a later one is the same run."""
+    others = [*(other for other in before if other[RECORDING]), *after]
+    return row[RECORDING] is None and any(_are_equal(row, other) for other in others)
+
+
+def _are_equal(row: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Return True if two rows are the same run: equal scenes, and equal results to the last bit.
+
+    A key that only one of them has, of another version, does not count.
+    """
+    scenes = [one["made_by"].get("scene_sha256") for one in (row, other)]
+    common = (row.keys() & other.keys()) - NOT_NUMBERS
+    return scenes[0] == scenes[1] and all(row[key] == other[key] for key in common)
+
+
+def _plain(row: Row) -> Row:
+    """Return a row as it is read from its file again."""
+    plain: Row = json.loads(json.dumps(row, allow_nan=False, default=list))
+    return plain
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Wait until no other command updates the tables of a folder, which is made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
