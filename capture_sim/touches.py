@@ -68,6 +68,14 @@ class Touches:
         shifted = self.later(-contact)
         return shifted.of((shifted.start >= -TICK) & (shifted.start <= window))
 
+    @property
+    def is_noise_known(self) -> bool:
+        """Return True if times and strengths have the noise of the force they were found in.
+
+        A force without noise shows none.
+        """
+        return self.strength == "impulse" and self.peak_noise > 0.0
+
     def with_noise(self, start: float, peak: float) -> Touches:
         """Return the touches with a sensor's noise, s and N, added to the sampling's."""
         start_noise = math.hypot(self.start_noise, start)
@@ -218,7 +226,9 @@ def in_force(
         rows.append((start, peak, stop - start, peak_time, impulse, wall))
     if not rows:
         return None
-    late = max(spacing) / math.sqrt(12.0)  # the touch began anywhere between two samples
+    # It began anywhere between two samples, and a cell's filter or the threshold makes it later.
+    # With a bandwidth of a fifth of the rate, times are still later by more than this.
+    late = max(spacing)
     return _touches(
         rows,
         start_noise=late,

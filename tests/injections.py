@@ -89,6 +89,15 @@ class Stream:
         values = {source: self.values[source][kept[source]] for source in Source}
         return dataclasses.replace(self, stamps=stamps, values=values)
 
+    def without(self, begin: float, end: float) -> Stream:
+        """Return the stream without the poses between two times, s."""
+        stamps, values = dict(self.stamps), dict(self.values)
+        for source in (Source.CHASER, Source.TARGET):
+            t = self.times(source)
+            kept = (t < begin) | (t >= end)
+            stamps[source], values[source] = stamps[source][kept], values[source][kept]
+        return dataclasses.replace(self, stamps=stamps, values=values)
+
     def measurements(self) -> Iterator[Measurement]:
         """Yield the measurements in the order of their stamps."""
         stamps = np.concatenate([self.stamps[source] for source in Source])

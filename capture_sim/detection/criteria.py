@@ -186,6 +186,7 @@ MEMORY = np.dtype(
         ("nearest_gap", "f8"),  # m, to a wall, less what the noise may hide
         ("fastest", "f8"),  # m/s
         ("zone_since", "f8"),  # s, in the capture zone
+        ("outside_since", "f8"),  # s, captured and sure to be outside it again
         ("still_since", "f8"),  # s, at rest outside the zone,
         ("still_axial", "f8"),  # m, near this position
         ("still_lateral", "f8"),
@@ -210,7 +211,7 @@ def _first_memory() -> np.ndarray:
     memory = np.zeros(1, MEMORY)
     memory["has_stayed"] = True
     memory["nearest"] = memory["nearest_gap"] = math.inf
-    for name in ("first_t", "zone_since", "still_since", "axial", "lateral"):
+    for name in ("first_t", "zone_since", "outside_since", "still_since", "axial", "lateral"):
         memory[name] = math.nan
     return memory
 
@@ -272,7 +273,7 @@ def is_approaching(criteria, memory, t, distance, unsure):
 
 
 @kernel
-def watch_capture(criteria, memory, distance, unsure, axial, margin):
+def watch_capture(criteria, memory, t, distance, unsure, axial, margin, outside_time):
     """Note of a captured tip whether it is outside the capture zone again."""
     inside = distance + ZONE_GUARD * unsure <= criteria.radius or axial + margin <= 0.0
     outside = distance - GUARD * unsure > criteria.radius and axial - margin > 0.0
@@ -280,7 +281,11 @@ def watch_capture(criteria, memory, distance, unsure, axial, margin):
         before, after = Cause.DWELT, Cause.LEFT_ZONE
     else:
         before, after = Cause.PASSED_THROAT, Cause.CAME_OUT
-    if outside:
+    if not outside:
+        memory.outside_since = math.nan
+    elif math.isnan(memory.outside_since):
+        memory.outside_since = t
+    if t - memory.outside_since >= outside_time - _TICK:
         memory.cause = after
     elif inside:
         memory.cause = before
@@ -288,14 +293,15 @@ def watch_capture(criteria, memory, distance, unsure, axial, margin):
 
 
 @kernel
-def decide(criteria, memory, place, has_rested, corner_time):
+def decide(criteria, memory, place, has_rested, corner_time, outside_time):
     """Evaluate the criteria at one position of the tip, later than the one before.
 
     Nothing is evaluated before ``memory.has_approached``; a simulated run starts with the
     release and so has it from the start.
 
     ``has_rested``: the tip has been at rest for long enough, where one position says nothing about
-    that (``place.size > 1``).  ``corner_time``: see :func:`hit_unseen`.
+    that (``place.size > 1``).  ``corner_time``: see :func:`hit_unseen`.  ``outside_time`` (s): a
+    captured tip is outside the capture zone again once it has been outside for this long.
     """
     t, axial, lateral = place.t, place.axial, place.lateral
     var_a, var_l = place.axial_variance, place.lateral_variance
@@ -322,7 +328,7 @@ def decide(criteria, memory, place, has_rested, corner_time):
     memory.fastest = max(memory.fastest, speed)
     margin = GUARD * math.sqrt(var_a)
     if memory.state == CaptureState.CAPTURED:
-        watch_capture(criteria, memory, distance, unsure, axial, margin)
+        watch_capture(criteria, memory, t, distance, unsure, axial, margin, outside_time)
     if memory.state > CaptureState.CONTACT:
         return
 

@@ -125,6 +125,8 @@ class CaptureDetector:
         self._t_buffer = -math.inf  # s, the last measurement of the buffer
         self._scene = scene
         self._criteria = Criteria.of(scene)
+        # what cameras show of a bench for a moment only may be wrong
+        self._outside_time = 0.0 if is_released else self._criteria.dwell
         memory = new_memory(has_approached=is_released)
         fields = zip(memory.dtype.names or (), *memory.tolist(), strict=True)
         self._memory = SimpleNamespace(**dict(fields))
@@ -147,6 +149,17 @@ class CaptureDetector:
     def delay(self) -> float:
         """Present delay between an instant and its evaluation, s; 0 without noise."""
         return self._path.half_window
+
+    @property
+    def behind(self) -> float:
+        """Time from the last instant that was evaluated to the newest measurement, s.
+
+        NaN if nothing was evaluated.
+        """
+        newest = self._sequencer.newest
+        if newest is None or self._place is None:
+            return math.nan
+        return self._seconds(newest) - self._place.t
 
     @property
     def clocks_differ(self) -> bool:
@@ -337,7 +350,7 @@ class CaptureDetector:
                     break  # it includes the rest before the release, or a gap
                 speed, deviation = self._path.rate_over(begin, place.t)
                 is_still = is_still or speed + GUARD * deviation < criteria.still_speed
-        _decide(criteria, self._memory, place, is_still, self._corner_time)
+        _decide(criteria, self._memory, place, is_still, self._corner_time, self._outside_time)
         passed = self._memory.cause in (Cause.PASSED_THROAT, Cause.PASSED_BESIDE)
         if before is not None and is_after_gap and passed and self._memory.since == place.t:
             # it passed BE in the gap: when is interpolated, as the place of the crossing is
@@ -362,7 +375,7 @@ class CaptureDetector:
     def _note_gap(self, before: Place, after: Place) -> None:
         """Note that the tip's path between two positions is unknown."""
         memory, criteria = self._memory, self._criteria
-        memory.zone_since = memory.still_since = math.nan
+        memory.zone_since = memory.still_since = memory.outside_since = math.nan
         self._t_gap_end = after.t
         wall_distance = _wall_gap(criteria, before.axial, before.lateral)[0]
         if wall_distance > memory.fastest * (after.t - before.t):

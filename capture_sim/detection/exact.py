@@ -74,7 +74,7 @@ def follow(criteria, memories, samples, y, rows, to_verdict):
         if max(abs(sample.axial_stroke), abs(sample.torsion) * c.rest_length) > c.contact_gap:
             note_push(c, memory, t, axial, lateral)
         place = Place(t, axial, lateral, -wx, wy, 0.0, 0.0, 1)
-        decide(c, memory, place, False, 0.0)
+        decide(c, memory, place, False, 0.0, 0.0)
         row = rows[min(k, rows.size - 1)]
         row.state, row.cause, row.value = memory.state, memory.cause, memory.value
         row.t = t

@@ -38,6 +38,9 @@ JUMP_TIME = 0.3
 _MAX_HOLD = 1.0
 #: Number of consistent poses that confirm a return to the path, and its begin.
 _CONFIRM, _START = 3, 6
+#: The tolerance of a single pose grows with the time since the last one only up to this, or the
+#: source's interval, s: later the pose is far.
+_NEAR_TIME = 0.02
 #: A shift that a contact explains within this many poses is no jump: wrong frames near a contact
 #: may agree with it.
 _SLIPPED = 6
@@ -89,9 +92,19 @@ class Pose(NamedTuple):
 class _Run:
     """Successive poses that are consistent with each other."""
 
-    def __init__(self, first: Pose, *, is_reachable: bool) -> None:
+    def __init__(self, first: Pose, *, is_reachable: bool, is_far: bool) -> None:
         self.poses = [first]
         self.is_reachable = is_reachable  # from the last pose that was accepted
+        self.is_far = is_far
+
+    @property
+    def is_confirmed(self) -> bool:
+        """True if the vehicle has returned to its path.
+
+        Wrong frames often follow lost ones.  After lost frames a vehicle may be as far away as
+        they are, so what agrees with no less than that needs as many poses as the begin.
+        """
+        return self.is_reachable and len(self.poses) >= (_START if self.is_far else _CONFIRM)
 
     @property
     def duration(self) -> float:
@@ -160,7 +173,9 @@ class Gate:
             return passed
         if self._held and self._last is None:
             return self._choose(max(self._held, key=lambda run: len(run.poses)))
-        reachable = [run for run in self._held if run.is_reachable]
+        reachable = [
+            run for run in self._held if run.is_confirmed or (run.is_reachable and not run.is_far)
+        ]
         return self._choose(reachable[-1] if reachable else None)
 
     def _is_frozen(self, pose: Pose) -> bool:
@@ -197,25 +212,26 @@ class Gate:
 
     def _add(self, pose: Pose) -> list[Pose]:
         last, held = self._last, self._held
-        if not held and last is not None and self._agrees(last, pose):
+        is_near = last is not None and self._agrees(last, pose, self._near_time)
+        if is_near and not held:
             self._accept(pose)
             return [pose]
-        is_reachable = last is not None and self._agrees(last, pose)
+        is_reachable = is_near or (last is not None and self._agrees(last, pose))
         if held and self._agrees(held[-1].poses[-1], pose):
             # a wrong frame may be so near that it agrees with both
             is_return = is_reachable and not held[-1].is_reachable
             before = held[-1].poses[-1]
             if is_return and last is not None and self._is_nearer(pose, last, before):
-                held.append(_Run(pose, is_reachable=True))
+                held.append(_Run(pose, is_reachable=True, is_far=not is_near))
             else:
                 held[-1].poses.append(pose)
         else:
-            held.append(_Run(pose, is_reachable=is_reachable))
+            held.append(_Run(pose, is_reachable=is_reachable, is_far=not is_near))
         run = held[-1]
         if last is None:
             return self._choose(run) if len(run.poses) >= _START else []
         if run.is_reachable:
-            return self._choose(run) if len(run.poses) >= _CONFIRM else []
+            return self._choose(run) if run.is_confirmed else []
         if run.duration > JUMP_TIME or pose.t - held[0].poses[0].t > _MAX_HOLD:
             first = run.poses[0]
             if not any(self._agrees(pose, first) for pose in list(self._recent)[-_SLIPPED:]):
@@ -240,10 +256,21 @@ class Gate:
         of_a, of_b = self._innovation(a, pose), self._innovation(b, pose)
         return of_a[0] + arm * of_a[1] < of_b[0] + arm * of_b[1]
 
-    def _agrees(self, a: Pose, b: Pose) -> bool:
-        """Return True if a vehicle can move from one pose to the other."""
+    @property
+    def _near_time(self) -> float:
+        """Time over which a single pose may differ from its prediction by an impact, s."""
+        recent = self._recent
+        if len(recent) < 2:
+            return _NEAR_TIME
+        return max(_NEAR_TIME, (recent[-1].t - recent[0].t) / (len(recent) - 1))
+
+    def _agrees(self, a: Pose, b: Pose, longest: float = math.inf) -> bool:
+        """Return True if a vehicle can move from one pose to the other.
+
+        ``longest``: the tolerance grows with the time between them only up to this, s.
+        """
         distance, turn = self._innovation(a, b)
-        change = self._speed * (b.t - a.t)
+        change = self._speed * min(b.t - a.t, longest)
         x, y, theta = (GATE * _SQRT2 * noise.deviation for noise in self._noise)
         return distance <= max(self._limits.velocity * change + max(x, y), LEAST[0]) and (
             turn <= max(self._limits.spin * change + theta, LEAST[1])

@@ -180,6 +180,25 @@ def test_a_capture_that_does_not_last_says_so(scene):
     )
 
 
+@pytest.mark.parametrize(
+    "outside, left", [(0.19, False), (0.20, True)], ids=["shorter", "as long as the dwell"]
+)
+def test_on_a_bench_a_capture_has_not_lasted_after_the_dwell_outside(scene, outside, left):
+    """What cameras show for a moment only may be wrong; a simulated run says so at once."""
+    held = (0.1, 0.0, 0), (0.003, 0.0, 0.5), (0.003, 0.0, 0.5)
+    # after one step outside, and back in with the last one
+    places = lead(*held, (0.0305, 0.0, 0.01), (0.0305, 0.0, outside), (0.003, 0.0, 0.01))
+    samples = tip_motion(scene, places)
+    bench, simulated = (CaptureDetector(scene, is_released=released) for released in (False, True))
+    of_bench, at_once = ([d.update(observation(s)) for s in samples] for d in (bench, simulated))
+    assert [s.label for s in at_once].count("captured, left") == round(outside * 100) + 1
+    assert any(s.left_again for s in of_bench) == left
+    assert (of_bench[-1].label, bench.finish()[-1].label) == ("captured", "captured")
+    gone = CaptureDetector(scene, is_released=False)
+    far = tip_motion(scene, lead(*held, (0.0305, 0.0, 0.01), (0.0305, 0.0, 0.3)))
+    assert [gone.update(observation(s)) for s in far][-1].label == "captured, left"
+
+
 def test_an_undamped_capture_is_reported_as_left():
     result = simulate(load_scene("paper_designed"))
     assert result.verdict == "captured"

@@ -223,11 +223,13 @@ def gated(poses, rate=240.0):
     gate = Gate(Source.CHASER, Limits.of(scene, Source.CHASER), counts)
     passed = []
     for k, pose in enumerate(np.asarray(poses).tolist()):
-        passed += gate.add(k / rate, tuple(pose), 0.11)
+        if not math.isnan(pose[0]):
+            passed += gate.add(k / rate, tuple(pose), 0.11)
     passed += gate.finish()
     is_passed = np.zeros(len(poses), dtype=bool)
     is_passed[[round(pose.t * rate) for pose in passed]] = True
-    assert counts.received[Source.CHASER] + counts.of(Source.CHASER) == (~is_passed).sum()
+    lost = np.isnan(np.asarray(poses)[:, 0])
+    assert counts.of(Source.CHASER) == (~is_passed & ~lost).sum()
     return is_passed, gate
 
 
@@ -263,6 +265,41 @@ def test_a_jump_that_stays_is_a_new_place():
         is_passed, gate = gated(wrong)
         assert is_passed[120 : 120 + frames].all() == stays
         assert (gate.jump is not None) == stays
+
+
+def without(poses, first, count):
+    """Return poses (n, 3) of which some are lost, NaN, and whether each is there."""
+    is_there = np.ones(len(poses), dtype=bool)
+    is_there[first : first + count] = False
+    return np.where(is_there[:, None], poses, math.nan), is_there
+
+
+@pytest.mark.parametrize("rate", [60.0, 120.0, 240.0])
+@pytest.mark.parametrize("begin", [0.5, 1.0, 1.4], ids=["coasting", "bounce", "afterwards"])
+def test_wrong_frames_after_lost_ones_do_not_pass(rate, begin):
+    """Within the gap the vehicle can have gone as far as they are."""
+    lost, first = math.ceil(0.0875 * rate), round(begin * rate)
+    poses, is_there = without(path_with_a_bounce(rate), first, lost)
+    assert (gated(poses, rate)[0] == is_there).all()
+    for offset in ((0.015, -0.01, 0.026), (-0.018, 0.0, 0.0)):
+        for frames in range(1, 6):
+            wrong, expected = poses.copy(), is_there.copy()
+            wrong[first + lost : first + lost + frames] += offset
+            expected[first + lost : first + lost + frames] = False
+            is_passed, gate = gated(wrong, rate)
+            assert np.flatnonzero(is_passed ^ expected).tolist() == []
+            assert gate.jump is None
+
+
+@pytest.mark.parametrize("begin", [0.5, 1.4])
+def test_a_stream_that_ends_with_far_poses_ends_before_them(begin):
+    rate, lost, first = 240.0, 21, round(240.0 * begin)
+    for frames in range(1, 7):
+        poses, _ = without(path_with_a_bounce(rate)[: first + lost + frames], first, lost)
+        poses[first + lost :, 0] += 0.018
+        is_passed, _ = gated(poses, rate)
+        assert is_passed[:first].all()
+        assert (is_passed[first + lost :] == (frames > 5)).all()
 
 
 def test_a_source_that_repeats_is_frozen_only_if_its_noise_is_above_its_resolution():
