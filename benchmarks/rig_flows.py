@@ -17,11 +17,10 @@ from pathlib import Path
 
 from benchmarks.pages import table, write_parts
 from capture_sim.cli import main
+from tests.nodes.bench_processes import Client, processes
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "nodes"))
-from bench_processes import processes
 from rig_session import POSES, Session
-from threads import Client
 
 #: The topics of a driver that publishes Odometry, by the bench's names.
 ODOMETRY = {"chaser/odom": "/mocap/rb1/odom", "target/odom": "/mocap/rb2/odom"}

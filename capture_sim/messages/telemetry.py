@@ -178,10 +178,13 @@ class _StatusStream(_Stream):
         One of the stream, and one of the other topic where the state has changed.  ``further``:
         columns of each message besides those of the statuses.
         """
+        end = 0
         for (state, reason), group in groupby(known, key=lambda entry: self._text(entry[1])):
             times, some = zip(*group, strict=True)
+            begin, end = end, end + len(some)
             columns: dict[str, Any] = dict(convert.statuses(some, *self.names))
-            columns |= {name: np.array(values) for name, values in (further or {}).items()}
+            rows = (further or {}).items()
+            columns |= {name: np.array(values[begin:end]) for name, values in rows}
             sent = self._many(self.stream, np.array(times), self.frame, columns, reason=reason)
             messages = [[message] for message in sent]
             if state != self._last_state:

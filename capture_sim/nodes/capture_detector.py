@@ -11,7 +11,7 @@ from typing import Any
 
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.detection.detector import CaptureDetector
-from capture_sim.detection.measurements import REORDER, Source
+from capture_sim.detection.measurements import REORDER, Source, Values
 from capture_sim.errors import SceneError
 from capture_sim.messages.convert import EPOCH_NS, rejected
 from capture_sim.messages.measurements import (
@@ -22,6 +22,7 @@ from capture_sim.messages.measurements import (
 )
 from capture_sim.messages.telemetry import DetectorTelemetry
 from capture_sim.messages.topics import CAPTURE_DETECTOR, RunSource, Topic, topics_of
+from capture_sim.nodes.diagnostics import Level, Status
 from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd, RunPart
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError, declare_scene
@@ -33,6 +34,10 @@ from capture_sim.scene.parts import Detector
 #: A trial begins without measurements after this long, s (wall), e.g. where cameras see the cone
 #: alone.
 SOURCES_TIMEOUT = 3.0
+#: As many measurements are evaluated together at most: then other callbacks are due.
+MAX_BATCH = 200
+#: The detector's warnings are looked at this often, s (wall).
+WARNING_PERIOD = 0.1
 CRITERION = {field.name: field for field in fields(Detector)}
 
 
@@ -56,9 +61,11 @@ class CaptureDetectorNode(BenchNode, RunPart):
             "evaluate by this scene from the start, for a bench where no node announces runs; "
             "empty to wait for a run",
         )
+        self._waiting: list[tuple[Source, int, Values, int | None]] = []  # read, not evaluated
+        self._warned = -math.inf  # s (wall), when the detector's warnings were looked at
         self._readers = {topic: MeasurementReader(topic) for topic in OF_A_BENCH}
         self._follower = Follower(self, CAPTURE_DETECTOR, self, list(RunSource))
-        self._sources = SourceDiagnostics(self)
+        self._sources = SourceDiagnostics(self, self._progress)
         for topics in TOPICS_OF_SOURCE.values():
             self._sources.watch(*topics)
         for topic in self._readers:
@@ -91,7 +98,9 @@ class CaptureDetectorNode(BenchNode, RunPart):
             zero=EPOCH_NS if run.simulated else None,
             reorder=0 if run.simulated else REORDER,
         )
-        self._input = DetectorInput(scene, is_simulated=run.simulated)
+        self._input = DetectorInput(scene, is_simulated=run.simulated, readers=self._readers)
+        self._waiting.clear()
+        self._rejected_at, self._rejected = -1, dict[str, list[int]]()
         self._telemetry = DetectorTelemetry(self.messages, run.id)
         if criteria:
             given = ", ".join(
@@ -128,6 +137,7 @@ class CaptureDetectorNode(BenchNode, RunPart):
 
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Send the final verdict, and report how much was sent."""
+        self._evaluate()
         statuses = self._detector.finish(cut=self._follower.was_cut)
         self._send_all(statuses)
         verdict = statuses[-1]
@@ -165,21 +175,51 @@ class CaptureDetectorNode(BenchNode, RunPart):
         count = 2 if OF_A_BENCH[topic] is Source.BUFFER else 3
         self._sources.add(topic, stamp, values[:count])
 
+    def _progress(self) -> list[Status]:
+        """Return how far the evaluation is behind the newest measurement."""
+        if self._follower.run is None or self._follower.run.simulated:
+            return []
+        behind, delay = self._detector.behind, self._detector.delay
+        values = {"behind [s]": f"{behind:.3f}", "delay of the smoother [s]": f"{delay:.3f}"}
+        text = f"{behind:.2f} s behind the newest measurement"
+        return [Status("evaluation", Level.OK, text, values)]
+
     def _receive_measurement(self, topic: Topic, data: bytes) -> None:
         measurement = self._input.read(topic, data)
         if measurement is None:
             return
         arrival = None if self.run.simulated else time.monotonic_ns()
-        self._send_all(self._detector.measure(*measurement, arrival))
-        if warnings := self._detector.warnings:
-            self.get_logger().warning("; ".join(warnings), throttle_duration_sec=5.0)
+        self._waiting.append((*measurement, arrival))
+
+    def serve(self, limit: float = 0.0) -> None:
+        """Run callbacks; of measurements, all that wait are read, then evaluated together."""
+        super().serve(limit)
+        count = 0
+        while count < len(self._waiting) < MAX_BATCH and self._follower.run is not None:
+            count = len(self._waiting)
+            super().serve()
+        if self._waiting and not self.in_callback:
+            self.guarded(self._evaluate)()
+
+    def _evaluate(self) -> None:
+        """Evaluate the measurements that were read; send what they show."""
+        waiting, self._waiting = self._waiting, []
+        self._send_all([s for each in waiting for s in self._detector.measure(*each)])
+        if waiting and (now := time.monotonic()) >= self._warned + WARNING_PERIOD:
+            self._warned = now
+            if warnings := self._detector.warnings:
+                self.get_logger().warning("; ".join(warnings), throttle_duration_sec=5.0)
 
     def _send_all(self, statuses: Sequence[CaptureStatus]) -> None:
         self._telemetry.zero_ns = self._detector.zero
         if statuses:
-            counts = rejected(self._detector.counts)
-            for status in statuses:
-                self.publish(*self._telemetry.status(status.t, status, **counts))
+            counts = self._detector.counts
+            if counts.n_changes != self._rejected_at:
+                self._rejected_at, self._rejected = counts.n_changes, rejected(counts)
+            known = [(status.t, status) for status in statuses]
+            further = {name: [row] * len(known) for name, row in self._rejected.items()}
+            for messages in self._telemetry.statuses(known, further):
+                self.publish(*messages)
 
 
 def _check_criterion(name: str, value: float) -> None:

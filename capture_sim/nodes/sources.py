@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from statistics import median
 
@@ -16,22 +17,39 @@ from capture_sim.nodes.diagnostics import PERIOD, Diagnostics, Level, Status
 from capture_sim.nodes.endpoints import full_name
 from capture_sim.nodes.node import BenchNode
 
+#: A message that is read later than this, s, compared with the quickest one, is a warning.
+MAX_LAG = 0.5
+#: The quickest one is that of as many publications: a driver may start again with another clock.
+LAG_PERIODS = 60
+
 
 @dataclass
 class _Source:
-    """What has come of one topic."""
+    """Messages of one topic."""
 
     monitor: SourceMonitor = field(default_factory=SourceMonitor)
     # since the last publication, and the one before: s (wall)
     arrivals: list[float] = field(default_factory=list)
     offsets: list[float] = field(default_factory=list)  # stamp less arrival, s
+    # the largest of each publication: of the message that came quickest
+    quickest: deque[float] = field(default_factory=lambda: deque(maxlen=LAG_PERIODS))
+
+    @property
+    def lag(self) -> float:
+        """By how much the latest message came later than the quickest, s; NaN without stamps."""
+        if not self.offsets:
+            return math.nan
+        return max((*self.quickest, *self.offsets)) - self.offsets[-1]
 
 
 class SourceDiagnostics:
-    """Publishes, per second, how the messages of a rig's drivers arrive."""
+    """Publishes, per second, how the messages of a rig's drivers arrive.
 
-    def __init__(self, node: BenchNode) -> None:
-        self._node = node
+    ``further``: returns other statuses of the node, which are published with these.
+    """
+
+    def __init__(self, node: BenchNode, further: Callable[[], list[Status]] = list) -> None:
+        self._node, self._further = node, further
         self._sources: dict[Topic, _Source] = {}
         self._groups: list[tuple[Topic, ...]] = []
         self._since = time.monotonic()
@@ -76,9 +94,11 @@ class SourceDiagnostics:
             statuses += [self._status_of(topic, now, offsets) for topic in published or group[:1]]
         for source in self._sources.values():
             del source.arrivals[:-1]
+            if source.offsets:
+                source.quickest.append(max(source.offsets))
             source.offsets.clear()
         self._since = now
-        self._diagnostics.publish(*statuses)
+        self._diagnostics.publish(*statuses, *self._further())
 
     def _status_of(self, topic: Topic, now: float, offsets: Mapping[Topic, float]) -> Status:
         name = self._node.resolve_topic_name(topic.name)
@@ -89,6 +109,9 @@ class SourceDiagnostics:
         values: dict[str, object] = {"rate [Hz]": rate, "age [s]": f"{age:.3f}"}
         if len(intervals):
             values["jitter [s]"] = f"{np.std(intervals):.6f}"
+        lag = self._sources[topic].lag
+        if math.isfinite(lag):
+            values["lag [s]"] = f"{lag:.3f}"
         if topic in offsets:
             values["clock offset [s]"] = f"{offsets[topic]:.4f}"
         for end in publishers:
@@ -102,4 +125,6 @@ class SourceDiagnostics:
         elif not self.is_fresh(topic):
             level = Level.WARN
             text = f"last message {age:.1f} s ago" if math.isfinite(age) else "no message"
+        elif lag > MAX_LAG:
+            level, text = Level.WARN, f"read {lag:.1f} s late: this node, or the driver, is busy"
         return Status(name, level, text, values)
