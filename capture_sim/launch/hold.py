@@ -1,4 +1,4 @@
-"""The output launcher/hold: when it is sent, who reads it, and the meaning of its silence.
+"""The output launcher/hold: its period, its readers, and the meaning of its silence.
 
 A driver holds its chaser when the last message is older than :data:`HOLD_TIMEOUT`.  The thread that
 decides also sends: a stalled launcher sends nothing, so it cannot let go.

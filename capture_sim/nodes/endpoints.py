@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 import importlib
+from copy import copy
 from functools import cache
 from typing import Any
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.duration import Infinite
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 from rclpy.serialization import deserialize_message
 
 from capture_sim.errors import MessageError
@@ -44,6 +53,20 @@ def qos_of(topic: Topic, *, transient_local: bool | None = None) -> QoSProfile:
         if transient_local
         else DurabilityPolicy.VOLATILE,
     )
+
+
+def why_incompatible(offered: QoSProfile, requested: QoSProfile) -> str:
+    """Return why a reader gets nothing from a publisher, by their profiles; empty if it does.
+
+    Durations that a profile leaves at their default, 0, are infinite once its publisher exists.
+    """
+    offered = copy(offered)
+    for name in ("deadline", "liveliness_lease_duration"):
+        if getattr(offered, name).nanoseconds == 0:
+            setattr(offered, name, Infinite)
+    compatibility, reason = qos_check_compatible(offered, requested)
+    # equal, not the same: each call makes an object of its own
+    return str(reason) if compatibility == QoSCompatibility.ERROR else ""
 
 
 def is_own(topic: Topic) -> bool:

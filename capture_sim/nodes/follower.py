@@ -36,7 +36,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import shown
 
 #: Participants of a run get this long to join it, s (wall).
-JOIN_TIMEOUT = 10.0
+JOIN_TIMEOUT = 15.0
 #: s (wall) without a message, after which an ended run is closed as incomplete.
 DRAIN_TIMEOUT = 5.0
 #: Ctrl-C mostly ends all nodes at once: the end of the run is waited for this long, and of a trial

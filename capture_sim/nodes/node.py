@@ -38,7 +38,7 @@ except ImportError:
 MIN_DEPTH = 100
 #: A wait looks at its condition, and at Ctrl-C, at least this often, s (wall).
 POLL = 0.1
-#: Who publishes the topics of others is looked up this often, s (wall).
+#: The publishers and readers of a rig's topics are looked up this often, s (wall).
 LOOK_UP_PERIOD = 0.5
 #: What unexpected numbers, lists and bytes raise in a callback.
 _ODD_CONTENTS = (ValueError, TypeError, LookupError, ArithmeticError, AssertionError, struct.error)
@@ -102,6 +102,12 @@ class BenchNode(ParameterNode):
         self.callback_executor.spin_once(limit)
         while self._best_effort:
             self._best_effort.pop()()
+
+    def wake(self) -> None:
+        """End a wait's present pause, so that it looks at its condition; from any thread."""
+        executor = self.callback_executor
+        if executor is not None:
+            executor.create_task(lambda: None)
 
     def freeze_objects(self) -> None:
         """Leave the objects that exist now out of later collections: one takes longer than a tick.

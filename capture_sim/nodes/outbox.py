@@ -9,7 +9,7 @@ from typing import Any
 
 from rcl_interfaces.srv import ListParameters
 from rclpy.duration import Duration
-from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.qos import QoSProfile
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.topics import Topic
@@ -19,6 +19,7 @@ from capture_sim.nodes.endpoints import (
     full_name,
     message_class,
     qos_of,
+    why_incompatible,
 )
 
 #: How a reader's full queue shows in rclpy's error; every other one is an error.
@@ -43,7 +44,7 @@ class Outbox:
     """
 
     def __init__(self, node: Any) -> None:
-        self.reader_timeout = 10.0
+        self.reader_timeout = 15.0
         self.dropped: list[str] = []
         self._node = node
         self._senders: dict[Topic, Any] = {}
@@ -95,7 +96,7 @@ class Outbox:
         return [
             full_name(reader)
             for reader in self._node.get_subscriptions_info_by_topic(name)
-            if qos_check_compatible(offered, reader.qos_profile)[0] is not QoSCompatibility.ERROR
+            if not why_incompatible(offered, reader.qos_profile)
         ]
 
     def drain(self, limit: float) -> list[Topic]:

@@ -79,6 +79,12 @@ def run(
             signal.signal(signum, signal.SIG_IGN)
 
 
+def _wake_at_end(node: BenchNode) -> None:
+    """Let a node notice at once that its process is asked to end."""
+    node.end_request.wait()
+    node.wake()
+
+
 def _limit_shutdown() -> None:
     """End the process if it has not ended :data:`SHUTDOWN_TIMEOUT` after it was asked to."""
     STOP.wait()
@@ -120,6 +126,7 @@ def _live(make: Callable[[], BenchNode], hidden: bool) -> int:
         node.get_logger().info(
             f"discoverable on this machine only; {dds.RANGE}=SUBNET lets other machines take part"
         )
+    threading.Thread(target=_wake_at_end, args=[node], name="end", daemon=True).start()
     status = FAILED
     try:
         status = live(node)

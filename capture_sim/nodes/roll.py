@@ -31,6 +31,8 @@ from capture_sim.nodes.node import POLL, BenchNode
 
 #: A node that has just joined the roll is heard within this long, s (wall).
 HEARING_TIMEOUT = 2.0
+#: A node repeats its part so often, s (wall); one that is not heard for so long is named.
+SIGN_PERIOD, SILENCE_LIMIT = 1.0, 5.0
 FREE, READY, DONE = 0, 1, 2
 
 
@@ -135,11 +137,16 @@ class Roll:
         self._seen: set[str] = set()  # participants that have been there
         self._present: Counter[str] = Counter()  # publishers of the roll, by node
         self._looked = -1.0
+        self._own: Any = None  # message of this node's part
+        self._heard: dict[str, float] = {}  # s (wall), when a node was last heard, by full name
+        self._silent: set[str] = set()  # nodes that have been named
+        self._checked = time.monotonic()
         if is_listed:
             node.open([ROLL])
         watch = SubscriptionEventCallbacks(matched=node.guarded(self._changed))
         node.listen(ROLL, self._hear, event_callbacks=watch)
         self.report(FREE)
+        node.every(SIGN_PERIOD, self.repeat)
 
     def report(self, state: int, run: Any = None, report: RunReport | None = None) -> None:
         """Publish this node's part; ``run``: RunInfo or description of the run."""
@@ -157,7 +164,32 @@ class Roll:
             reason="; ".join(report.problems),
             file=report.file,
         )
+        self._own = message
         self._node.send(ROLL, message)
+
+    def repeat(self) -> None:
+        """Repeat this node's part, and name the nodes that are there but no longer heard.
+
+        Such a node stands still, or DDS has lost one direction of the connection, which it does not
+        mend: after a stop of about the lease (config/fast_dds.xml) one side has forgotten the other
+        and waits for endpoints that the other has sent before.
+        """
+        if self._own is not None:
+            self._node.send(ROLL, self._own)
+        now, own = time.monotonic(), self._node.get_fully_qualified_name()
+        if now > self._checked + 2.0 * SIGN_PERIOD:  # this node has stood still itself
+            self._heard.clear()
+        self._checked = now
+        there = {name for name in self._nodes() if name != own}
+        self._heard = {name: self._heard.get(name, now) for name in there}
+        self._silent &= there
+        for name in sorted(there - self._silent):
+            if now > self._heard[name] + SILENCE_LIMIT:
+                self._silent.add(name)
+                self._node.get_logger().warning(
+                    f"{name}: connected, but not heard for {SILENCE_LIMIT:g} s: continue it if it "
+                    "is stopped or busy, else start it again"
+                )
 
     def pending(
         self, participants: Sequence[str], has: Callable[[Part], bool] = lambda part: True
@@ -240,4 +272,8 @@ class Roll:
             RunReport(() if message.complete else (message.reason,), message.file),
         )
         self.parts[part.id] = part
+        self._heard[part.node] = time.monotonic()
+        if part.node in self._silent:
+            self._silent.remove(part.node)
+            self._node.get_logger().info(f"{part.node}: heard again")
         self._on_part(part)

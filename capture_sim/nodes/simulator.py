@@ -85,7 +85,7 @@ class SimulatorNode(BenchNode):
         )
         self.outbox.reader_timeout = self.declare(
             "reader_timeout",
-            10.0,
+            15.0,
             "s (wall), after which a run continues without a subscriber that reads nothing",
             low=1.0,
             high=600.0,

@@ -12,8 +12,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from rclpy.qos import QoSCompatibility, qos_check_compatible
-
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.launch.hold import HoldOutput, HoldReaders
 from capture_sim.launch.interlocks import Interlocks, Sensor, TrialLimits
@@ -23,7 +21,13 @@ from capture_sim.messages.convert import stamp_in
 from capture_sim.messages.definitions import typestore
 from capture_sim.messages.measurements import TOPICS_OF_SOURCE, MeasurementReader
 from capture_sim.messages.topics import CAPTURE_VERDICT, HOLD, LOAD_CELL, Topic
-from capture_sim.nodes.endpoints import TRANSIENT_LOCAL, full_name, message_class, qos_of
+from capture_sim.nodes.endpoints import (
+    TRANSIENT_LOCAL,
+    full_name,
+    message_class,
+    qos_of,
+    why_incompatible,
+)
 from capture_sim.nodes.node import LOOK_UP_PERIOD, BenchNode
 
 #: Time limits are looked at this often, s (wall).
@@ -162,7 +166,8 @@ class TrialBench:
                     mismatches[topic.name] = problem
         self.interlocks.note_publishers(nodes, mismatches)
         readers = self._node.get_subscriptions_info_by_topic(self._node.resolve_topic_name(HOLD))
-        wrong = {full_name(e): f"reads {e.topic_type}" for e in readers if e.topic_type != BOOL}
+        problems = {full_name(end): _why_not_reached(end) for end in readers}
+        wrong = {node: problem for node, problem in problems.items() if problem}
         drivers = _names(readers) - self._suite()
         self.interlocks.readers.note(drivers - wrong.keys(), wrong, time.monotonic())
 
@@ -190,6 +195,14 @@ def _names(ends: Sequence[Any]) -> set[str]:
     return {full_name(end) for end in ends if UNKNOWN not in end.node_name}
 
 
+def _why_not_reached(reader: Any) -> str:
+    """Return why no launcher/hold reaches a reader, e.g. one with a deadline; empty if it does."""
+    if reader.topic_type != BOOL:
+        return f"reads {reader.topic_type}"
+    reason = why_incompatible(TRANSIENT_LOCAL, reader.qos_profile)
+    return reason and f"requests another quality of service: {reason}"
+
+
 def _mismatch(topic: Topic, publisher: Any) -> str:
     """Return why no message of a publisher can come; empty if messages can.
 
@@ -199,7 +212,5 @@ def _mismatch(topic: Topic, publisher: Any) -> str:
         return f"{full_name(publisher)} publishes {publisher.topic_type}, not {topic.type_name}"
     wanted = qos_of(topic)
     wanted.reliability = publisher.qos_profile.reliability
-    is_possible, reason = qos_check_compatible(publisher.qos_profile, wanted)
-    if is_possible is not QoSCompatibility.ERROR:
-        return ""
-    return f"{full_name(publisher)} offers another quality of service: {reason}"
+    reason = why_incompatible(publisher.qos_profile, wanted)
+    return reason and f"{full_name(publisher)} offers another quality of service: {reason}"

@@ -1,0 +1,171 @@
+"""How nodes meet for a run, without DDS: who waits for whom, and who does not come."""
+
+import pytest
+
+from capture_sim import load_scene
+from capture_sim.errors import CaptureSimError
+from capture_sim.messages.convert import RunDescription
+from capture_sim.messages.topics import BENCH_STATE, ROLL, RUN_INFO, RunSource
+from capture_sim.nodes import announcer, follower, roll
+from capture_sim.nodes.announcer import Announcer
+from capture_sim.nodes.endpoints import DISCOVERY_TIME, message_class
+from capture_sim.nodes.follower import JOIN_TIMEOUT, Follower
+from capture_sim.nodes.roll import FREE, READY, Roll, RunReport, run_key
+from tests.nodes.fake_node import FakeNode
+
+OTHER = "/launcher#1"
+
+
+@pytest.fixture
+def node(monkeypatch):
+    node = FakeNode()
+    for module in (announcer, follower, roll):
+        monkeypatch.setattr(module, "time", node.clock())
+    monkeypatch.setattr(roll, "POLL", -1.0)  # looked up every time
+    return node
+
+
+class Part:
+    """What a node does with a run: it notes when it begins."""
+
+    def __init__(self, node):
+        self.node, self.begun = node, None
+
+    def prepare(self, run):
+        pass
+
+    def begin(self, run):
+        self.begun = self.node.now
+
+    def is_complete(self):
+        return True
+
+    def end(self, run, end):
+        return RunReport()
+
+
+def part_of(state, run=""):
+    return message_class(ROLL.type_name)(participant=OTHER, role="launcher", state=state, run=run)
+
+
+def reports(node):
+    return [(t, message.state) for t, topic, message in node.sent if topic is ROLL]
+
+
+# who takes part
+
+
+@pytest.fixture
+def following(node):
+    """A follower to which a run is announced at 1 s, for itself and another node."""
+    part = Part(node)
+    following = Follower(node, "recorder", part, [RunSource.SIMULATION])
+    following.follow(BENCH_STATE, lambda message: None)
+    following.join()
+    following.part = part
+    run = RunDescription.of(
+        load_scene("tilt_0"),
+        "a run",
+        (),
+        announcer="/simulator#1",
+        participants=sorted((following.roll.id, OTHER)),
+    )
+    following.key = run_key(run)
+    node.publishers += ["/simulator", "/launcher"]
+    node.at(1.0, lambda: node.hear(RUN_INFO, node.messages.run_info(run)))
+    return following
+
+
+def test_the_roll_is_the_last_that_a_node_reads(node, following):
+    """Whoever is heard there is matched with all its other topics."""
+    assert node.listened[-2:] == [RUN_INFO, ROLL]
+    assert node.outbox.topics[-1] is ROLL
+
+
+def test_a_node_is_ready_once_it_has_heard_all_and_begins_once_all_are_ready(node, following):
+    node.at(4.0, lambda: node.hear(ROLL, part_of(FREE)))
+    node.at(7.0, lambda: node.hear(ROLL, part_of(READY, following.key)))
+    node.at(20.0, node.end_request.set)
+    with pytest.raises(KeyboardInterrupt):
+        following.work()
+    reported = reports(node)  # each part once a second
+    assert reported[0][1] == FREE
+    ready = next(t for t, state in reported if state == READY)
+    assert ready == pytest.approx(4.0, abs=0.1)
+    assert following.part.begun == pytest.approx(7.0, abs=0.1)
+    assert not [line for line in node.log.lines if "has not joined" in line]
+
+
+def test_who_does_not_join_is_named_and_the_run_begins(node, following):
+    """Its writer is matched, and nothing of it comes: half a match."""
+    node.at(60.0, node.end_request.set)
+    with pytest.raises(KeyboardInterrupt):
+        following.work()
+    assert "tilt_0: /launcher has not joined the run" in node.log.lines
+    assert following.part.begun == pytest.approx(1.0 + 2.0 * JOIN_TIMEOUT, abs=0.3)
+
+
+def test_who_has_left_is_not_waited_for(node, following):
+    node.at(2.0, lambda: node.hear(ROLL, part_of(FREE)))
+    node.at(3.0, lambda: node.publishers.remove("/launcher"))
+    node.at(20.0, node.end_request.set)
+    with pytest.raises(KeyboardInterrupt):
+        following.work()
+    assert following.part.begun == pytest.approx(3.0, abs=0.1)
+
+
+# who announces
+
+
+@pytest.fixture
+def announcing(node):
+    node.name = "/simulator"
+    node.publishers = ["/simulator"]
+    node.open([BENCH_STATE])
+    return Announcer(node, Roll(node, "simulator"), RunSource.SIMULATION, ["launcher"])
+
+
+def announce(node, announcing):
+    run = RunDescription.of(
+        load_scene("tilt_0"), "a run", (), announcer="/simulator#1", participants=[OTHER]
+    )
+    announcing.announce(run, node.messages.serialise(node.messages.run_info(run)))
+    return run
+
+
+def test_a_run_is_refused_to_whom_it_waits_for_and_does_not_join(node, announcing):
+    node.publishers.append("/launcher")
+    node.hear(ROLL, part_of(FREE))
+    with pytest.raises(CaptureSimError, match="launcher has not joined the run"):
+        announce(node, announcing)
+    assert node.now == pytest.approx(node.outbox.reader_timeout, abs=0.1)
+    assert any("waiting for /launcher to join the run" in line for line in node.log.lines)
+
+
+def test_a_run_begins_once_all_have_joined(node, announcing):
+    node.publishers.append("/launcher")
+    node.hear(ROLL, part_of(FREE))
+    node.at(3.0, lambda: node.hear(ROLL, part_of(READY, "a run@/simulator#1")))
+    announce(node, announcing)
+    assert node.now == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_plain_node_is_there_when_all_it_reads_is_matched(node, announcing):
+    """By its name in the graph alone, its first messages were lost."""
+    node.outbox.found[BENCH_STATE] = ["/lab/launcher", "/other"]
+    node.outbox.n_matched[BENCH_STATE] = 1
+    node.at(5.0, lambda: node.outbox.n_matched.update({BENCH_STATE: 2}))
+    announcing.await_nodes("tilt_0", 60.0)
+    assert node.now == pytest.approx(5.0, abs=0.1)
+
+
+def test_subscriptions_that_have_just_come_may_not_be_all(node, announcing):
+    node.outbox.n_matched[BENCH_STATE] = 1
+    node.at(5.0, lambda: node.outbox.found[BENCH_STATE].append("/launcher"))
+    announcing.await_nodes("tilt_0", 60.0)
+    assert node.now >= 5.0 + DISCOVERY_TIME
+
+
+def test_who_does_not_come_is_named(node, announcing):
+    with pytest.raises(CaptureSimError, match="waiting for launcher to start: timed out after 9 s"):
+        announcing.await_nodes("tilt_0", 9.0)
