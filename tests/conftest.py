@@ -1,6 +1,5 @@
 """Keeps what the tests start apart from everything else on the machine."""
 
-import fcntl
 import os
 import shutil
 import signal
@@ -13,21 +12,7 @@ import pytest
 from capture_sim import load_scene
 from capture_sim.commands.compiling import compile_first
 from capture_sim.hardware.stage import LoopStage
-
-
-def _claim_domain():
-    """Return a ROS domain (1 to 101) that no other test session has, and its lock file."""
-    for attempt in range(101):
-        domain = 1 + (os.getpid() + attempt) % 101
-        lock = Path(tempfile.gettempdir(), f"capture_sim_domain_{domain}.lock").open("a")  # noqa: SIM115
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lock.close()
-        else:
-            return domain, lock
-    raise RuntimeError("all ROS domains from 1 to 101 are taken by other test sessions")
-
+from tests.domains import claim_domain
 
 # A shell starts what is in its background with Ctrl-C ignored, and the nodes would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -41,7 +26,7 @@ LONG = ("test_design.py", "test_docs.py", "test_install.py", "test_injections.py
 LONG += ("test_second_formulation.py", "test_sweep.py", "test_loop_faults.py", "test_trials.py")
 
 # At import: the environment must stand before anything loads rclpy.
-_domain, _lock = _claim_domain()
+_domain, _lock = claim_domain()
 _log_dir = tempfile.mkdtemp(prefix="capture_sim_ros_log_")
 os.environ["ROS_DOMAIN_ID"] = str(_domain)
 os.environ["ROS_LOG_DIR"] = _log_dir

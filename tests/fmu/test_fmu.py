@@ -406,6 +406,15 @@ def test_the_contact_may_be_in_the_program_in_c(tmp_path):
     assert verdict == CaptureState.REBOUND
 
 
+def test_a_name_without_suffix_gets_one(tmp_path, capsys):
+    """FMI tools open no other file."""
+    for name, written in (("unit", "unit.fmu"), ("unit.v1", "unit.v1.fmu")):
+        assert main(["fmu", "tilt_0", "--out", str(tmp_path / name)]) == 0
+        assert f"written to {tmp_path / written}, as FMI tools" in capsys.readouterr().out
+        assert fmpy.read_model_description(tmp_path / written).fmiVersion == "3.0"
+    assert {path.name for path in tmp_path.iterdir()} == {"unit.fmu", "unit.v1.fmu"}
+
+
 def test_bad_arguments_are_reported_in_one_line(tmp_path, capsys):
     assert main(["fmu", "tilt_0", "--out", str(tmp_path / "no" / "x.fmu")]) == 2
     assert main(["fmu", "tilt_0", "--set", "buffer.k_A=-1", "--out", str(tmp_path / "x")]) == 2

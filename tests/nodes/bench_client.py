@@ -8,50 +8,33 @@ import rclpy
 from rcl_interfaces.srv import ListParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 
 from capture_sim.control.simulation import State
 from capture_sim.messages.topics import BENCH_STATE, CLOCK, RUN_INFO
 from capture_sim.nodes.endpoints import message_class, qos_of
 from capture_sim.nodes.services import definitions
+from tests.nodes.own_domain import participant
 
-#: What is waited for comes within this long, s, on a slow and busy machine too.
-PATIENCE = 120.0
+#: What is waited for makes some progress within this long, s, on a slow and busy machine too ...
+PATIENCE = 30.0
+#: ... and has come after this long.
+LONGEST = 240.0
 #: A service that does not know yet where to answer waits 0.1 s for that and then drops the answer
 #: (rmw_fastrtps issue 842): s until a request that may be repeated is repeated.
 AGAIN = 2.0
 
-_idle = []  # contexts that no node uses, each with its keeper
 
-
-def wait_until(condition, what="waited in vain", timeout=PATIENCE):
-    """Wait until a condition holds."""
-    deadline = time.monotonic() + timeout
+def wait_until(condition, what="waited in vain", progress=lambda: None):
+    """Wait until a condition holds, as long as the value of ``progress`` changes meanwhile."""
+    began = since = time.monotonic()
+    seen = progress()
     while not condition():
-        assert time.monotonic() < deadline, what() if callable(what) else what
+        now = time.monotonic()
+        if now > since + PATIENCE:
+            before, seen, since = seen, progress(), now
+            is_stuck = seen == before or now > began + LONGEST
+            assert not is_stuck, what() if callable(what) else what
         time.sleep(0.002)
-
-
-def take_participant():
-    """Return a context, which is a DDS participant, for a node.
-
-    A participant is destroyed with its last node, and Fast DDS may then spin for ever if another
-    comes or goes in that moment (see capture_sim.interrupts.end_within): a keeper holds it, and
-    :func:`give_back` leaves it to the next node.
-    """
-    if _idle:
-        return _idle.pop()
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-    context.keeper = rclpy.create_node(
-        "_keeper", context=context, enable_rosout=False, start_parameter_services=False
-    )
-    return context
-
-
-def give_back(context):
-    """Leave a participant, whose nodes are destroyed, to the next node."""
-    _idle.append(context)
 
 
 def ros_arguments(parameters):
@@ -73,16 +56,16 @@ def statuses(nodes, first="simulator"):
 
 
 class Client:
-    """A plain node of this process that calls services, sets parameters and listens.
+    """A plain node of this process's participant: it calls services, sets parameters, listens.
 
     A response may be lost on the way to a client that its server has just met.  A request that may
     be repeated is repeated; before any other one, the server has to answer one that may.
     """
 
     def __init__(self, name="experimenter", **options):
-        self._context = take_participant()
-        self.node = rclpy.create_node(name, context=self._context, **options)
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self.context = participant()
+        self.node = rclpy.create_node(name, context=self.context, **options)
+        self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
         self._clients = {}
         self._closing = threading.Event()
@@ -106,7 +89,6 @@ class Client:
         for part in list(self.node.waitables):  # of an action: destroy_node leaves them
             getattr(part, "destroy", lambda: None)()
         self.node.destroy_node()
-        give_back(self._context)
 
     def __enter__(self):
         return self
@@ -133,13 +115,14 @@ class Client:
 
         def response():
             began = time.monotonic()
-            while not (done := [answer for answer in answers if answer.done()]):
-                waited = time.monotonic() - began
-                assert waited < PATIENCE, f"{name} did not answer"
-                if is_repeatable and waited > AGAIN * len(answers):
+
+            def has_come():
+                if is_repeatable and time.monotonic() > began + AGAIN * len(answers):
                     answers.append(client.call_async(request))
-                time.sleep(0.0005)
-            return done[0].result()
+                return any(answer.done() for answer in answers)
+
+            wait_until(has_come, f"{name} did not answer")
+            return next(answer for answer in answers if answer.done()).result()
 
         return response
 

@@ -17,6 +17,7 @@ import time
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 
 from capture_sim import load_scene
 from capture_sim.bench import compile_kernels
@@ -26,6 +27,7 @@ from capture_sim.messages.definitions import typestore
 NODES = ("simulator", "launcher", "capture_detector", "recorder", "player", "viewer")
 NODES += ("contact_rig", "loop_simulator")
 PR_SET_PDEATHSIG = 1  # of Linux
+ROOT = Path(__file__).parents[2]
 
 
 @cache
@@ -33,8 +35,10 @@ def _server():
     """Start the process that is forked; return the socket at whose end it ends, and itself."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with theirs:
-        command = [sys.executable, __file__, str(theirs.fileno())]
-        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()])
+        command = [sys.executable, "-m", "tests.nodes.forked", str(theirs.fileno())]
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()], cwd=ROOT
+        )
     return ours, process
 
 
@@ -50,7 +54,9 @@ class Forked:
     def __init__(self, program, arguments):
         reader, writer = os.pipe()
         self.stdout = os.fdopen(reader, encoding="utf-8")
-        self.pid = _ask([program, arguments], writer)
+        # as a new process has them: the domain is the test's, the folder may be
+        domain, folder = os.environ.get("ROS_DOMAIN_ID", "0"), str(Path.cwd())
+        self.pid = _ask([program, arguments, domain, folder], writer)
         os.close(writer)
         self.returncode = None
 
@@ -95,7 +101,7 @@ def _serve(client):
             if not data:
                 return ""
             match json.loads(data):
-                case [program, arguments]:
+                case [program, arguments, domain, folder]:
                     pid = os.fork()
                     if pid == 0:
                         # at the end of the process that is forked, however the tests end
@@ -104,6 +110,8 @@ def _serve(client):
                         os.dup2(files[0], 2)
                         os.close(files[0])
                         signal.signal(signal.SIGINT, signal.default_int_handler)
+                        os.environ["ROS_DOMAIN_ID"] = domain
+                        os.chdir(folder)
                         sys.argv = ["-c", *arguments]
                         return program
                     os.close(files[0])

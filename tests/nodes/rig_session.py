@@ -16,7 +16,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 
 from capture_sim.cli import main
 from capture_sim.hardware.messages import stamp_of
-from tests.nodes.bench_client import give_back, ros_arguments, take_participant, wait_until
+from tests.nodes.bench_client import ros_arguments, wait_until
+from tests.nodes.own_domain import participant
 
 sys.path.append(str(Path(__file__).parents[2] / "examples"))
 from disturbed_rig import DisturbedRig
@@ -35,7 +36,7 @@ SUCCEEDED, CANCELED, ABORTED = (
 #: A busy machine is no dead camera, and no absent node.
 PATIENT = {"max_pose_age": 10.0, "max_buffer_age": 10.0, "max_hold_silence": 10.0}
 #: A trial waits this long, s; after all three it has a result, which names what it has waited for.
-WAITS = {"start_timeout": 60.0, "time_limit": 120.0, "closing_timeout": 60.0}
+WAITS = {"start_timeout": 30.0, "time_limit": 120.0, "closing_timeout": 60.0}
 PATIENT |= WAITS
 
 
@@ -75,6 +76,7 @@ class Goal:
         wait_until(
             lambda: self.is_over or any(f.phase >= phase for f in self.feedback),
             f"never in phase {phase}",
+            lambda: len(self.feedback),
         )
 
     def cancel(self):
@@ -86,7 +88,7 @@ class Goal:
         wait_until(
             self._result.done,
             lambda: f"no result of a goal: {self.feedback[-1:]}",
-            sum(WAITS.values()) + 60.0,
+            lambda: len(self.feedback),
         )
         answer = self._result.result()
         return answer.status, answer.result
@@ -103,7 +105,7 @@ def actions_of(client):
 @contextmanager
 def rig(kind, parameters):
     """Run a bench of the examples in a thread; give its node."""
-    context, over = take_participant(), threading.Event()
+    context, over = participant(), threading.Event()
     node = kind(context=context, cli_args=ros_arguments(parameters), use_global_arguments=False)
     executor = EventsExecutor(context=context)
     executor.add_node(node)
@@ -122,7 +124,6 @@ def rig(kind, parameters):
     finally:
         over.set()
         thread.join()
-        give_back(context)
 
 
 class Session:
@@ -138,13 +139,14 @@ class Session:
         poses=POSES,
         launcher=None,
         change=None,
+        recorder_change=None,
         **options,
     ):
         self.client, self.folder = client, folder
         self.has_actuator = actuator == "output"
         streams = f"[{', '.join([*poses, *STREAMS])}]"
         self.detector = start("capture_detector", **options)
-        self.recorder = start("recorder", out=folder, topics=streams, **options)
+        self.recorder = start("recorder", recorder_change, out=folder, topics=streams, **options)
         settings = {**PATIENT, "scene": "tilt_0", "after_verdict": 0.1}
         settings |= (launcher or {}) | options
         self.launcher = start("launcher", change, actuator=actuator, **settings)
@@ -194,7 +196,7 @@ class Session:
     def wait(self, seconds):
         """Wait by the bench's clock (s), which is slower than its pace on a busy machine."""
         end = self.stamps[-1] + seconds
-        wait_until(lambda: self.stamps[-1] >= end)
+        wait_until(lambda: self.stamps[-1] >= end, progress=lambda: self.stamps[-1])
 
     def goal(self, after=BACK, **fields):
         """Send a goal once the chaser is back."""

@@ -6,10 +6,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from bench_processes import Started
+from rclpy.duration import Duration, Infinite
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from capture_sim.nodes.dds import PEERS, PROFILES, RANGE, configure
+from capture_sim.nodes.endpoints import why_incompatible
 from capture_sim.resources import config_dir
+from tests.nodes.bench_processes import Started
 
 LOOPBACK, NETWORK = "fast_dds_loopback.xml", "fast_dds.xml"
 CHOSEN = (*PROFILES, RANGE, PEERS, "ROS_LOCALHOST_ONLY")
@@ -60,8 +63,8 @@ def test_the_users_choice_of_profile_and_reach_holds(given, profile, reach, by_d
 def test_both_profiles_repeat_announcements_and_messages_as_often():
     one, other = ((config_dir() / name).read_text().split() for name in (LOOPBACK, NETWORK))
     for text in (
-        "<leaseDuration><sec>6</sec></leaseDuration>",
-        "<leaseAnnouncement><sec>0</sec><nanosec>200000000</nanosec></leaseAnnouncement>",
+        "<leaseDuration><sec>12</sec></leaseDuration>",
+        "<leaseAnnouncement><sec>0</sec><nanosec>500000000</nanosec></leaseAnnouncement>",
         "<times><heartbeatPeriod><sec>0</sec><nanosec>10000000</nanosec></heartbeatPeriod></times>",
     ):
         assert text in one
@@ -116,3 +119,22 @@ def test_a_node_opens_no_port_to_the_network_and_plain_nodes_find_it():
         for one in everything:
             one.process.kill()
             one.process.wait()
+
+
+@pytest.mark.parametrize(
+    "offered, requested, word",
+    [
+        ({}, {}, ""),
+        ({}, {"reliability": ReliabilityPolicy.BEST_EFFORT}, ""),
+        ({"reliability": ReliabilityPolicy.BEST_EFFORT}, {}, "reliable"),
+        ({}, {"deadline": Duration(seconds=0.5)}, "deadline"),
+        ({"deadline": Duration(seconds=0.1)}, {"deadline": Duration(seconds=0.5)}, ""),
+        ({}, {"durability": DurabilityPolicy.TRANSIENT_LOCAL}, "transient local"),
+    ],
+)
+def test_profiles_between_which_no_message_comes(offered, requested, word):
+    # DDS gives the durations of a reader that sets none as infinite
+    requested = {"deadline": Infinite, "liveliness_lease_duration": Infinite, **requested}
+    reason = why_incompatible(QoSProfile(depth=1, **offered), QoSProfile(depth=1, **requested))
+    assert word in reason.lower()
+    assert (reason == "") is (word == "")

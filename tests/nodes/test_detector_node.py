@@ -9,7 +9,6 @@ import pytest
 from noisy_replay import Disturbance, disturbed
 from rcl_interfaces.srv import DescribeParameters, GetParameters
 from rclpy.parameter import parameter_value_to_python
-from threads import threads
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
@@ -32,40 +31,33 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.nodes.endpoints import message_class
 from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.roll import READY
+from capture_sim.nodes.roll import FREE, READY
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run, run_of
 from capture_sim.run import detect
 from capture_sim.scene.parts import Detector
-from tests.nodes.bench_client import PATIENCE, Client, give_back, take_participant, wait_until
+from tests.nodes.bench_client import PATIENCE, Client, wait_until
+from tests.nodes.own_domain import participant
 
 #: The contact comes after 1.4 s, in place of 4.
 QUICK = "[string.impact_speed=0.3, run.t_end=2.5]"
 
 
 @pytest.fixture
-def start():
-    with threads() as start:
-        yield start
-
-
-@pytest.fixture
-def make_bench():
+def make_bench(_domain):
     """Make nodes that send what cameras and encoders of a bench would."""
-    nodes, contexts = [], []
+    nodes = []
 
     def make(name, topics=()):
-        contexts.append(take_participant())
-        nodes.append(BenchNode(name, context=contexts[-1]))
+        nodes.append(BenchNode(name, context=participant()))
         nodes[-1].open(topics)
         return nodes[-1]
 
     yield make
-    for node, context in zip(nodes, contexts, strict=True):
+    for node in nodes:
         node.close()
-        give_back(context)
 
 
 # parameters
@@ -139,32 +131,25 @@ def test_criteria_are_described_set_and_recorded(start, tmp_path, capfd):
 # benches without simulator
 
 
-def test_a_trial_waits_until_the_detector_has_measurements(start, make_bench, monkeypatch):
+def test_a_trial_waits_until_the_detector_has_measurements(start, client, make_bench):
     """Else a chaser is let go whose approach it misses, and there is no verdict."""
-    monkeypatch.setattr("capture_sim.nodes.capture_detector.SOURCES_TIMEOUT", PATIENCE)
-    reported = []  # by the detector, on the roll
+    reports = client.listen(ROLL)
+    patient = "node.SOURCES_TIMEOUT = 3600.0"
+    detector = start("capture_detector", patient, min_dwell=0.3)
+    wait_until(lambda: reports)
 
-    def note_reports(node):
-        send = node.send
+    def states():
+        return {report.state for report in reports}
 
-        def sending(topic, message):
-            if topic is ROLL:
-                reported.append(message.state)
-            return send(topic, message)
-
-        node.send = sending
-
-    detector = start("capture_detector", note_reports, min_dwell=0.3)
     scene = load_scene("tilt_0")
     run = RunDescription.of(scene, "a trial", (), source=RunSource.TRIAL, announcer="/launcher#1")
     launcher = make_bench("launcher", [RUN_INFO])
     make = Messages()
     launcher.send(RUN_INFO, make.serialise(make.run_info(run)))
     detector.wait_for("evaluated by min_dwell")
-    with Client() as client:
-        # a detector that does not wait for measurements joins before it answers
-        client.await_answers_of("/capture_detector")
-    assert reported == []
+    # a detector that does not wait for measurements joins before it answers
+    client.await_answers_of("/capture_detector")
+    assert states() == {FREE}
     rig = make_bench("rig", [CHASER_POSE, TARGET_POSE])
     kind = message_class(CHASER_POSE.type_name)
 
@@ -174,7 +159,7 @@ def test_a_trial_waits_until_the_detector_has_measurements(start, make_bench, mo
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
             message.pose.orientation.w = 1.0
             rig.send(topic, message)
-        return READY in reported
+        return READY in states()
 
     wait_until(is_ready)
 

@@ -10,15 +10,12 @@ import os
 import re
 import signal
 import time
-from collections import deque
 from pathlib import Path
 
 import pytest
 import rclpy
-from bench_processes import Client, Started, fresh, wait_until
 from plate import STEP, ideal_rig
 from rclpy.qos import HistoryPolicy, QoSProfile
-from threads import PATIENCE, threads
 
 from capture_sim import load_scene, read_run
 from capture_sim.cli import main
@@ -34,10 +31,11 @@ from capture_sim.hardware.messages import (
     tip_message,
     wrench_message,
 )
-from capture_sim.hardware.pacing import Pacer
 from capture_sim.hardware.stage import LoopStage
 from capture_sim.messages.convert import Messages
 from capture_sim.nodes.endpoints import message_class, qos_of
+from tests.nodes.bench_processes import Client, Started, fresh, wait_until
+from tests.nodes.changes import shared_numbers
 
 PLATE = 2e4  # N/m; a touch from 0.05 to 0.124 s
 #: A busy machine does not decide.
@@ -51,89 +49,29 @@ WIDE = {
 }
 
 
-class Unpaced(Pacer):
-    """Positions are sent as soon as they are known."""
-
-    def time_to_work(self):
-        return 0.0
-
-    def time_to_send(self):
-        return 0.0
-
-
-class Wrenches(deque):
-    """Wrenches that have arrived; ``last``: stamp of the newest one."""
-
-    last = -math.inf
-
-    def append(self, entry):
-        self.last = entry[1]
-        super().append(entry)
-
-
-class Tips(dict):
-    """Measured tips that have arrived; ``last``: stamp of the newest one."""
-
-    last = -math.inf
-
-    def __setitem__(self, stamp, tip):
-        self.last = stamp
-        super().__setitem__(stamp, tip)
-
-
 class Lockstep:
-    """Loops and rigs in threads of this process, in which a step waits for its answers."""
+    """A rig and loops of which each step waits for its answers."""
 
-    def __init__(self, start):
-        self._start = start
-        self._taken = self._sent = -math.inf  # stamps of the rig's last position and answer, s
+    def __init__(self, start, path):
+        self._start, self._path = start, str(path)
+        shared_numbers(path)[:] = -math.inf
 
     def rig(self, **options):
         """Start the rig."""
-        return self._start("contact_rig", self._follow_rig, **options)
+        return self._start("contact_rig", f"changes.in_lockstep_rig({self._path!r})", **options)
 
     def loop(self, **options):
-        """Run a loop to its end; return its node."""
+        """Run a loop to its end; return its process."""
         options = {"record": "''", **PATIENT, **options}
-        loop = self._start("loop_simulator", self._follow_loop, **options)
+        change = f"changes.in_lockstep_loop({self._path!r}, node)"
+        loop = self._start("loop_simulator", change, **options)
         loop.exit_status = loop.status()
         return loop
 
-    def _follow_rig(self, node):
-        answer = node._rig.answer
-
-        def followed(pose):
-            answers = answer(pose)
-            if answers:
-                self._sent = answers[-1].stamp
-            self._taken = pose.t
-            return answers
-
-        node._rig.answer = followed
-
-    def _follow_loop(self, node):
-        hand_over, loop = node._hand_over_answers, node._loop
-        node._inbox, node._rig_tips = Wrenches(), Tips()
-
-        def has_all():
-            if self._taken < loop.t - 1e-9:
-                return False
-            received = min(node._inbox.last, node._rig_tips.last)
-            return received >= self._sent - 1e-9
-
-        def hand_over_all():
-            if node._pacer is not None:  # the loop is closed
-                assert node.wait(has_all, PATIENCE)
-            hand_over()
-
-        node._hand_over_answers = hand_over_all
-
 
 @pytest.fixture
-def lockstep(monkeypatch):
-    monkeypatch.setattr("capture_sim.nodes.loop_simulator.Pacer", Unpaced)
-    with threads() as start:
-        yield Lockstep(start)
+def lockstep(start, tmp_path):
+    return Lockstep(start, tmp_path / "lockstep")
 
 
 @pytest.fixture(scope="module")
@@ -279,39 +217,19 @@ def test_a_reader_that_takes_nothing_does_not_hold_the_loop_up(start):
         idle.destroy_node()
 
 
-def begin_after(is_known):
-    """Let a loop's wait for answers at rest begin once this is true of the loop."""
-
-    def change(node):
-        await_rest = node._await_rest
-
-        def await_known():
-            deadline = time.monotonic() + PATIENCE
-            while not is_known(node._loop):
-                assert time.monotonic() < deadline
-                node.wait(limit=0.01)
-                node._hand_over_answers()
-            await_rest()
-
-        node._await_rest = await_known
-
-    return change
-
-
-def test_why_a_wrench_cannot_be_used_is_reported():
+def test_why_a_wrench_cannot_be_used_is_reported(start, client):
     """A rig that stamps by a wall clock."""
-    with threads() as start, Client() as client:
-        make = Messages()
-        kind = message_class(TIP_WRENCH.type_name)
-        publisher = client.node.create_publisher(kind, TIP_WRENCH.name, 10)
-        after = begin_after(lambda loop: loop.answers.rejections)
-        loop = start("loop_simulator", after, start_timeout=0.1, record="''")
-        while loop.is_alive:
-            publisher.publish(wrench_message(make, time.time(), Wrench(1.0)))
-            time.sleep(0.02)
-        assert loop.status() == 1
-        assert "answers at rest = 0 within 0.1 s: must be >= 100; rejected:" in loop.text
-        assert "stamped by a wall clock" in loop.text
+    make = Messages()
+    kind = message_class(TIP_WRENCH.type_name)
+    publisher = client.node.create_publisher(kind, TIP_WRENCH.name, 10)
+    after = "changes.begin_after(lambda loop: loop.answers.rejections, node)"
+    loop = start("loop_simulator", after, start_timeout=0.1, record="''")
+    while loop.is_alive:
+        publisher.publish(wrench_message(make, time.time(), Wrench(1.0)))
+        time.sleep(0.02)
+    assert loop.status() == 1
+    assert "answers at rest = 0 within 0.1 s: must be >= 100; rejected:" in loop.text
+    assert "stamped by a wall clock" in loop.text
 
 
 def test_runs_after_each_other_on_one_rig(lockstep, tmp_path):
@@ -371,24 +289,23 @@ def test_a_report_that_cannot_be_written_at_the_end_loses_no_summary(start, tmp_
     assert "Traceback" not in loop.text
 
 
-def test_a_tip_that_is_not_at_the_first_position_starts_no_loop(plate):
+def test_a_tip_that_is_not_at_the_first_position_starts_no_loop(start, client, plate):
     """A rig that answers with the tip where an earlier loop has left it."""
-    with threads() as start, Client() as client:
-        make = Messages()
-        left = LoopStage(plate).tip
-        left = left._replace(x=left.x + 0.02)
-        after = begin_after(lambda loop: loop.start_distance > 0.0)
-        loop = start("loop_simulator", after, start_timeout=0.5, record="''")
-        tips, wrenches = (
-            client.node.create_publisher(message_class(topic.type_name), topic.name, 10)
-            for topic in (RIG_TIP, TIP_WRENCH)
-        )
-        while loop.is_alive:
-            tips.publish(tip_message(make, -0.2, left))
-            wrenches.publish(wrench_message(make, -0.2, Wrench(-18.4)))
-            time.sleep(0.02)
-        assert loop.status() == 1
-        assert "distance of loop/rig_tip from the first position = 30 mm after 0.5 s" in loop.text
+    make = Messages()
+    left = LoopStage(plate).tip
+    left = left._replace(x=left.x + 0.02)
+    after = "changes.begin_after(lambda loop: loop.start_distance > 0.0, node)"
+    loop = start("loop_simulator", after, start_timeout=0.5, record="''")
+    tips, wrenches = (
+        client.node.create_publisher(message_class(topic.type_name), topic.name, 10)
+        for topic in (RIG_TIP, TIP_WRENCH)
+    )
+    while loop.is_alive:
+        tips.publish(tip_message(make, -0.2, left))
+        wrenches.publish(wrench_message(make, -0.2, Wrench(-18.4)))
+        time.sleep(0.02)
+    assert loop.status() == 1
+    assert "distance of loop/rig_tip from the first position = 30 mm after 0.5 s" in loop.text
 
 
 def test_a_restitution_without_contact_on_the_rig_is_reported_as_not_known(lockstep, tmp_path):

@@ -5,57 +5,50 @@ import subprocess
 import sys
 from contextlib import ExitStack
 
-import pytest
 from capture_sim.action import RunTrial
 from rig_session import SUCCEEDED, Goal, Session, asked
 
-from tests.nodes.bench_client import Client, wait_until
+from tests.nodes.bench_client import wait_until
 
-#: Makes the launcher note, at each launcher/hold, its wall time, its own processor time and the
-#: time for which its thread was ready to run and did not (s), and print the largest steps of them.
+#: Makes the launcher count what it does between two looks at launcher/hold, and what no approach
+#: has room for: scenes that are loaded and kernels that are compiled.
 WATCHED = """
-import threading, time
-from pathlib import Path
 from numba.core import event
 from capture_sim.launch import hold
+from capture_sim.nodes import trial_bench, trial_server
 
-rows, compiled = [], event.RecordingListener()
+compiled, loaded, between = event.RecordingListener(), [], []
+count = [0, True]  # callbacks since launcher/hold was looked at; whether it holds
 event.register("numba:compile", compiled)
 
 class Watched(hold.HoldOutput):
-    def __init__(self, publish):
-        def watched(is_held):
-            stats = Path(f"/proc/self/task/{threading.get_native_id()}/schedstat")
-            kept = int(stats.read_text().split()[1]) * 1e-9 if stats.exists() else 0.0
-            rows.append((time.monotonic(), time.thread_time(), kept, is_held))
-            publish(is_held)
-        super().__init__(watched)
+    def update(self, is_held, now):
+        if not (is_held and count[1]):
+            between.append(count[0])
+        count[:] = 0, is_held
+        super().update(is_held, now)
 
-work = node.LauncherNode.work
+serve, load, work = node.LauncherNode.serve, trial_server.load_requested, node.LauncherNode.work
+
+def counted(self, limit=0.0):
+    count[0] += 1
+    serve(self, limit)
+
+def noted(*arguments, **options):
+    loaded.append(count[1])
+    return load(*arguments, **options)
+
 def watch(self):
-    rows.clear()
     compiled.buffer.clear()
     try:
         return work(self)
     finally:
-        released = [i for i, row in enumerate(rows) if not row[3]]
-        steps = [(b[0] - a[0], b[1] - a[1], b[2] - a[2]) for a, b in zip(rows, rows[1:])]
-        approach = steps[released[0]:released[-1]]
-        print("\\nof", len(steps), "steps", len(approach), "in a trial;",
-            "longest without processor time that others took:", max(s[0] - s[2] for s in steps),
-            "longest of the launcher's own:", max(s[1] for s in steps),
-            "kernels compiled:", len(compiled.buffer), flush=True)
-node.LauncherNode.work = watch
-hold.HoldOutput = node_hold = Watched
-from capture_sim.nodes import trial_bench
-trial_bench.HoldOutput = Watched
+        print("\\nlooks", len(between), "most callbacks", max(between), "scenes", len(loaded),
+            "let go", loaded.count(False), "kernels", len(compiled.buffer), flush=True)
+
+node.LauncherNode.serve, node.LauncherNode.work = counted, watch
+trial_bench.HoldOutput, trial_server.load_requested = Watched, noted
 """
-
-
-@pytest.fixture
-def client():
-    with Client() as client:
-        yield client
 
 
 def test_no_release_before_the_client_asks_for_the_result(start, client, tmp_path):
@@ -86,11 +79,8 @@ def test_a_client_that_never_asks_for_the_result(start, client, tmp_path):
         wait_until(lambda: session.let_go == 1)
 
 
-def test_hold_has_no_gaps_on_a_busy_machine(start, client, tmp_path):
-    """What the launcher itself does between two messages stays far below a driver's 0.5 s.
-
-    The time in which its thread was ready and other processes had the processor is taken off.
-    """
+def test_hold_is_looked_at_in_every_callback_on_a_busy_machine(start, client, tmp_path):
+    """How late a message can be for it is in tests/launch/test_hold.py, on a simulated clock."""
     session = Session(start, client, tmp_path, change=WATCHED)
     with session.bench(), ExitStack() as stack:
         for _ in range(4):
@@ -104,17 +94,11 @@ def test_hold_has_no_gaps_on_a_busy_machine(start, client, tmp_path):
             client.set("launcher", speed_tolerance=0.3)
             session.goal(0.0, scene=scene).cancel()
     assert session.launcher.end() == 0
-    found = re.search(
-        r"of (\d+) steps (\d+) in a trial; longest .* took: (\S+) longest .* own: (\S+) "
-        r"kernels compiled: (\d+)",
-        session.launcher.text,
-    )
+    pattern = r"looks (\d+) most callbacks (\d+) scenes (\d+) let go (\d+) kernels (\d+)"
+    found = re.search(pattern, session.launcher.text)
     assert found, session.launcher.text
-    steps, in_trial = int(found[1]), int(found[2])
-    own, compiled = float(found[4]), int(found[5])
-    assert steps > 10
-    assert in_trial > 3
-    assert compiled == 0
-    # s: the period, in which a flood of messages may keep it busy, and the longest callback
-    # in processor time: what else a busy machine does between two messages is no fault of it
-    assert own < 0.2
+    looks, most, scenes, let_go, compiled = map(int, found.groups())
+    assert looks > 10
+    assert most < 20  # a timer looks at it as well: a few of other topics may come before its turn
+    assert scenes > 1  # a goal is rejected until the one before is over
+    assert (let_go, compiled) == (0, 0)

@@ -9,7 +9,6 @@ import threading
 import time
 
 import pytest
-from bench_processes import wait_until
 
 import capture_sim
 from capture_sim import load_scene
@@ -17,6 +16,7 @@ from capture_sim.interrupts import in_worker, watch_signals
 from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
+from tests.nodes.bench_processes import wait_until
 
 GAPS = (0.0003, 0.001, 0.004)  # s
 

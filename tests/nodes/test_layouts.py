@@ -4,11 +4,13 @@ import json
 
 import pytest
 import yaml
-from threads import threads
 
 from capture_sim.nodes.endpoints import message_class
 from capture_sim.resources import config_dir
 from tests.nodes.bench_client import Client, wait_until
+from tests.nodes.bench_processes import processes
+from tests.nodes.forked import Forked
+from tests.nodes.own_domain import own_domain
 
 #: What a display of RViz draws.
 DRAWN = {
@@ -22,7 +24,7 @@ DRAWN = {
 @pytest.fixture(scope="module")
 def published():
     """The topics of a bench, with their type."""
-    with threads() as start, Client() as client:
+    with own_domain(), processes(Forked) as start, Client() as client:
         start("simulator", initial_state="stopped", exit_when_done="false")
         start("launcher")
         start("capture_detector")

@@ -13,17 +13,15 @@ from capture_sim.nodes.launcher import LauncherNode
 from capture_sim.nodes.recorder import RecorderNode
 from capture_sim.nodes.simulator import SimulatorNode
 from capture_sim.resources import config_dir
-from tests.nodes.bench_client import give_back, take_participant
+from tests.nodes.own_domain import participant
 
 UNSET = ("['']", "nan")
 IGNORED = re.compile(r"use_sim_time|qos_overrides\..*|start_type_description_service")
 
 
 @pytest.fixture
-def context():
-    context = take_participant()
-    yield context
-    give_back(context)
+def context(_domain):
+    return participant()
 
 
 def test_file_and_nodes_agree(context, tmp_path, monkeypatch):

@@ -5,7 +5,6 @@ import time
 import xml.etree.ElementTree as ET
 
 import pytest
-from threads import threads
 
 from capture_sim import load_scene, simulate
 from capture_sim.control.simulation import Code, State
@@ -13,6 +12,10 @@ from capture_sim.messages.topics import BENCH_STATE
 from capture_sim.nodes.endpoints import TRANSIENT_LOCAL
 from capture_sim.resources import config_dir
 from tests.nodes.bench_client import Client, Simulation, wait_until
+from tests.nodes.bench_processes import processes
+from tests.nodes.changes import shared_numbers
+from tests.nodes.forked import Forked
+from tests.nodes.own_domain import own_domain
 
 OVERRIDES = ["run.t_end=0.4"]
 
@@ -20,16 +23,13 @@ OVERRIDES = ["run.t_end=0.4"]
 class CountedSimulation(Simulation):
     """The simulator, which also counts what it sends: no message is on its way unnoticed."""
 
-    def __init__(self, client, nodes):
+    def __init__(self, client, nodes, sent):
         super().__init__(client)
-        self.nodes, self.n_sent = nodes, 0
-        send = nodes["simulator"].node.send
+        self.nodes, self._sent, self._former = nodes, sent, 0
 
-        def count(topic, message):
-            self.n_sent += topic is BENCH_STATE
-            return send(topic, message)
-
-        nodes["simulator"].node.send = count
+    @property
+    def n_sent(self):
+        return self._sent[0] - self._former
 
     def settle(self):
         """Wait until all that was sent has come; return how many states that are."""
@@ -44,16 +44,19 @@ class CountedSimulation(Simulation):
     def clear(self):
         self.settle()
         self.states.clear()
-        self.n_sent = 0
+        self._former = self._sent[0]
 
 
 @pytest.fixture(scope="module")
-def simulation():
+def simulation(tmp_path_factory):
     """Simulator, stopped, and launcher; they serve all tests here."""
-    with threads() as start, Client() as client:
+    path = tmp_path_factory.mktemp("simulation") / "sent"
+    sent = shared_numbers(path)
+    with own_domain(), processes(Forked) as start, Client() as client:
         nodes = {
             "simulator": start(
                 "simulator",
+                f"changes.count_sent({str(path)!r}, {BENCH_STATE.name!r})",
                 wait_for="[launcher]",
                 initial_state="stopped",
                 overrides=str(OVERRIDES),
@@ -61,7 +64,7 @@ def simulation():
             ),
             "launcher": start("launcher"),
         }
-        simulation = CountedSimulation(client, nodes)
+        simulation = CountedSimulation(client, nodes, sent)
         client.await_answers_of("/simulator")  # it knows the subscriptions
         yield simulation
 
@@ -224,12 +227,11 @@ def test_description_of_the_bench_is_there_for_latecomers(stopped):
     assert {"chaser/base_link", "target/cone", "chaser/tip"} <= links
 
 
-def test_quitting_ends_the_simulator():
-    with threads() as start, Client() as client:
-        node = start("simulator", initial_state="stopped", exit_when_done="false", __ns="/alone")
-        simulation = Simulation(client, "/alone/simulator")
-        assert simulation.state is State.STOPPED
-        services = dict(client.node.get_service_names_and_types())
-        assert not [name for name in services if "step" in name or "features" in name]
-        assert simulation.set(State.QUITTING) == (Code.OK, "")
-        assert node.status() == 0
+def test_quitting_ends_the_simulator(start, client):
+    node = start("simulator", initial_state="stopped", exit_when_done="false", __ns="/alone")
+    simulation = Simulation(client, "/alone/simulator")
+    assert simulation.state is State.STOPPED
+    services = dict(client.node.get_service_names_and_types())
+    assert not [name for name in services if "step" in name or "features" in name]
+    assert simulation.set(State.QUITTING) == (Code.OK, "")
+    assert node.status() == 0

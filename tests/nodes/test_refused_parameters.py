@@ -12,19 +12,19 @@ from dataclasses import fields
 from importlib import import_module
 
 import pytest
-from bench_processes import Started, fresh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.parameter import Parameter
-from threads import CLASSES
 
 from capture_sim import load_scene, simulate
 from capture_sim.errors import CaptureSimError
 from capture_sim.recording.offline import write_run
 from capture_sim.resources import config_dir
 from capture_sim.scene.parts import Detector
-from tests.nodes.bench_client import give_back, ros_arguments, take_participant
+from tests.nodes.bench_client import ros_arguments
+from tests.nodes.bench_processes import Started, fresh
+from tests.nodes.own_domain import own_domain, participant
 
 EXAMPLES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "300"))
 NODES = ("simulator", "launcher", "capture_detector", "recorder")
@@ -63,17 +63,14 @@ HURRIED = settings(
 @contextmanager
 def made(name, **parameters):
     """Make a node of ours as its command line does; it is closed at the end."""
-    context = take_participant()
-    make = getattr(import_module(f"capture_sim.nodes.{name}"), CLASSES[name])
+    kind = "".join(word.capitalize() for word in (*name.split("_"), "node"))
+    make = getattr(import_module(f"capture_sim.nodes.{name}"), kind)
     arguments = ros_arguments(parameters)
+    node = make(context=participant(), cli_args=arguments, use_global_arguments=False)
     try:
-        node = make(context=context, cli_args=arguments, use_global_arguments=False)
-        try:
-            yield node
-        finally:
-            node.close()
+        yield node
     finally:
-        give_back(context)
+        node.close()
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +78,7 @@ def nodes(tmp_path_factory):
     """All nodes, the simulation stopped."""
     out = tmp_path_factory.mktemp("out")
     with (
+        own_domain(),
         made("simulator", initial_state="stopped") as simulator,
         made("launcher") as launcher,
         made("capture_detector") as detector,
@@ -252,7 +250,7 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     bag, file = folder / "run.mcap", folder / "nodes.yaml"
     write_run(simulate(load_scene("tilt_0", ["run.t_end=0.1"])), bag)
-    default, wrong = "reader_timeout: 10.0", "reader_timeout: 5000.0"
+    default, wrong = "reader_timeout: 15.0", "reader_timeout: 5000.0"
     file.write_text((config_dir() / "nodes.yaml").read_text().replace(default, wrong))
     return {"bag": bag, "file": file}
 

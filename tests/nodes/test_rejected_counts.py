@@ -4,7 +4,6 @@ import math
 
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
-from threads import Client, threads, wait_until
 
 from capture_sim.detection.measurements import Reason, Source
 from capture_sim.messages.topics import (
@@ -15,6 +14,7 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.nodes.endpoints import qos_of
 from capture_sim.resources import message_dir
+from tests.nodes.bench_client import wait_until
 
 N = 300  # instants of a bench at 100 Hz
 
@@ -40,30 +40,29 @@ def test_order_of_reasons_is_in_the_message():
         assert f"uint32[{len(Reason)}] {source.value}_rejected" in text
 
 
-def test_rejected_measurements_are_counted_live():
-    with threads() as start, Client() as client:
-        start("capture_detector", scene="tilt_0").wait_for("evaluated by tilt_0")
-        found = client.listen(CAPTURE_STATUS)
-        chaser, target = (
-            client.node.create_publisher(PoseStamped, topic.name, qos_of(topic))
-            for topic in (CHASER_POSE, TARGET_POSE)
-        )
-        buffer = client.node.create_publisher(JointState, JOINT_STATES.name, qos_of(JOINT_STATES))
-        client.await_answers_of("/capture_detector")
-        for k in range(N):
-            chaser.publish(pose(math.nan if k in (50, 60, 70) else 1e-4 * k, k))
-            target.publish(pose(0.66, k))
-            if k in (80, 90):
-                target.publish(pose(0.66, k))  # with the same stamp
-            joints = stamped(JointState(name=["buffer_slide", "buffer_hinge"]), k)
-            joints.position = [1e-6 * (k % 7), 0.0]
-            buffer.publish(joints)
-        reasons = list(Reason)
+def test_rejected_measurements_are_counted_live(start, client):
+    start("capture_detector", scene="tilt_0").wait_for("evaluated by tilt_0")
+    found = client.listen(CAPTURE_STATUS)
+    chaser, target = (
+        client.node.create_publisher(PoseStamped, topic.name, qos_of(topic))
+        for topic in (CHASER_POSE, TARGET_POSE)
+    )
+    buffer = client.node.create_publisher(JointState, JOINT_STATES.name, qos_of(JOINT_STATES))
+    client.await_answers_of("/capture_detector")
+    for k in range(N):
+        chaser.publish(pose(math.nan if k in (50, 60, 70) else 1e-4 * k, k))
+        target.publish(pose(0.66, k))
+        if k in (80, 90):
+            target.publish(pose(0.66, k))  # with the same stamp
+        joints = stamped(JointState(name=["buffer_slide", "buffer_hinge"]), k)
+        joints.position = [1e-6 * (k % 7), 0.0]
+        buffer.publish(joints)
+    reasons = list(Reason)
 
-        def counted(field, reason):
-            return found and getattr(found[-1], f"{field}_rejected")[reasons.index(reason)]
+    def counted(field, reason):
+        return found and getattr(found[-1], f"{field}_rejected")[reasons.index(reason)]
 
-        wait_until(lambda: counted("target", Reason.LATE) == 2)
-        wait_until(lambda: counted("chaser", Reason.NOT_FINITE) == 3)
-        assert sum(found[0].chaser_rejected) == 0
-        assert sum(found[-1].buffer_rejected) == 0
+    wait_until(lambda: counted("target", Reason.LATE) == 2)
+    wait_until(lambda: counted("chaser", Reason.NOT_FINITE) == 3)
+    assert sum(found[0].chaser_rejected) == 0
+    assert sum(found[-1].buffer_rejected) == 0

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from bags import in_two_files
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 from std_srvs.srv import Trigger
-from threads import threads
 
 import capture_sim
 from capture_sim.cli import main
@@ -27,14 +27,9 @@ from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.playback import Playback, PlayedCounts
 from tests.nodes.bench_client import Client, wait_until
+from tests.nodes.changes import shared_numbers
 
 NAME = "tilt_m10"
-
-
-@pytest.fixture
-def start():
-    with threads() as start:
-        yield start
 
 
 @pytest.fixture(scope="module")
@@ -192,41 +187,36 @@ def test_run_that_nobody_announced_cannot_be_followed(bench_bag, capsys):
     assert "wait_for = ['capture_detector']: must be empty: the replay contains no" in said
 
 
-def test_pause_resume_and_latched_topics(path, start):
-    sent = []
+def test_pause_resume_and_latched_topics(path, start, client, tmp_path):
+    sent = shared_numbers(tmp_path / "sent")
+    states, announced = client.listen(BENCH_STATE), client.listen(RUN_INFO)
+    change = f"changes.count_sent({str(tmp_path / 'sent')!r}, {BENCH_STATE.name!r})"
+    player = start("player", change, bag=path, paused="true", rtf=0.2)
 
-    def count(node):
-        send = node.outbox.send
-        node.outbox.send = lambda topic, data: (sent.append(topic), send(topic, data))[1]
+    def ask(name):
+        return client.ask(Trigger, f"/player/{name}").success
 
-    with Client() as client:
-        states, announced = client.listen(BENCH_STATE), client.listen(RUN_INFO)
-        player = start("player", count, bag=path, paused="true", rtf=0.2)
+    def is_still():
+        held = sent[0]
+        time.sleep(0.2)
+        wait_until(lambda: len(states) >= held)
+        return sent[0] == len(states) == held
 
-        def ask(name):
-            return client.ask(Trigger, f"/player/{name}").success
-
-        def is_still():
-            held = sent.count(BENCH_STATE)
-            time.sleep(0.2)
-            wait_until(lambda: len(states) >= held)
-            return sent.count(BENCH_STATE) == len(states) == held
-
-        assert not ask("pause")  # it is
-        assert is_still()
-        assert ask("resume")
-        wait_until(lambda: len(states) > 100)
-        assert ask("pause")
-        assert is_still()
-        # a late subscriber gets the transient-local messages, and nothing else moves
-        late = client.listen(RUN_INFO)
-        wait_until(lambda: late)
-        assert [info.source for info in (*announced, *late)] == ["replay"] * 2
-        assert is_still()
-        held = len(states)
-        assert ask("resume")
-        wait_until(lambda: len(states) > held + 100)
-        assert player.end() == 0
+    assert not ask("pause")  # it is
+    assert is_still()
+    assert ask("resume")
+    wait_until(lambda: len(states) > 100)
+    assert ask("pause")
+    assert is_still()
+    # a late subscriber gets the transient-local messages, and nothing else moves
+    late = client.listen(RUN_INFO)
+    wait_until(lambda: late)
+    assert [info.source for info in (*announced, *late)] == ["replay"] * 2
+    assert is_still()
+    held = len(states)
+    assert ask("resume")
+    wait_until(lambda: len(states) > held + 100)
+    assert player.end() == 0
 
 
 def test_players_in_turn_play_the_same_run_to_nodes_that_stay(path, start, tmp_path):
@@ -250,7 +240,7 @@ def test_players_in_turn_play_the_same_run_to_nodes_that_stay(path, start, tmp_p
 
 
 def test_bag_of_others_is_played(tmp_path, start):
-    store = typestore()
+    store = get_typestore(Stores.ROS2_JAZZY)
     types = store.types
     folder = tmp_path / "bag"
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 from rig_session import POSES, STREAMS, SUCCEEDED, Session, check
-from threads import Client
 
 from capture_sim.cli import main
 from capture_sim.recording.bag import read_bag
+from tests.nodes.bench_client import Client
 
 sys.path.append(str(Path(__file__).parents[2] / "examples"))
 from fake_chaser import CONTACT, MASS, SPEED, STOP, STROKE

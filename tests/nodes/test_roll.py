@@ -15,6 +15,7 @@ class Graph:
 
     def __init__(self):
         self.publishers = ["/simulator"]
+        self.sent, self.warnings, self.infos = [], [], []
 
     def get_fully_qualified_name(self):
         return "/simulator"
@@ -29,7 +30,19 @@ class Graph:
         self.hear = hear
 
     def send(self, topic, message):
-        pass
+        self.sent.append(message)
+
+    def every(self, period, callback):
+        self.period = period
+
+    def get_logger(self):
+        return self
+
+    def warning(self, text):
+        self.warnings.append(text)
+
+    def info(self, text):
+        self.infos.append(text)
 
     def nodes_that_publish(self, topic):
         return self.publishers
@@ -78,3 +91,85 @@ def test_of_namesakes_the_newest_are_there(graph):
     assert roll.is_there("/recorder#2")
     graph.publishers.append("/recorder")
     assert roll.is_there(RECORDER)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    class Clock:
+        now = 100.0
+
+        def monotonic(self):
+            return self.now
+
+        def time_ns(self):
+            return 0
+
+    monkeypatch.setattr(roll_module, "time", Clock())
+    return roll_module.time
+
+
+def pass_time(roll, clock, seconds, graph=None):
+    """Let a roll repeat its part each second; the recorder does the same if it is heard."""
+    for _ in range(seconds):
+        clock.now += 1.0
+        if graph is not None:
+            report(graph, FREE)
+        roll.repeat()
+
+
+def test_a_node_that_is_connected_but_not_heard_is_named_once_and_again_after_it_was_heard(
+    graph, clock
+):
+    graph.publishers = ["/simulator", "/recorder"]
+    roll = Roll(graph, "simulator")
+    pass_time(roll, clock, 10, graph)
+    assert not graph.warnings
+    pass_time(roll, clock, 5)
+    assert not graph.warnings
+    pass_time(roll, clock, 10)
+    (line,) = graph.warnings
+    assert line.startswith("/recorder: connected, but not heard for 5 s: ")
+    pass_time(roll, clock, 1, graph)
+    assert graph.infos == ["/recorder: heard again"]
+    pass_time(roll, clock, 6)
+    assert len(graph.warnings) == 2
+
+
+def test_a_node_that_was_never_heard_is_named(graph, clock):
+    graph.publishers = ["/simulator", "/recorder"]
+    roll = Roll(graph, "simulator")
+    pass_time(roll, clock, 6)
+    assert not graph.warnings
+    pass_time(roll, clock, 1)
+    assert len(graph.warnings) == 1
+
+
+def test_a_node_that_has_left_is_not_named(graph, clock):
+    graph.publishers = ["/simulator", "/recorder"]
+    roll = Roll(graph, "simulator")
+    pass_time(roll, clock, 3, graph)
+    graph.publishers = ["/simulator"]
+    pass_time(roll, clock, 10)
+    assert not graph.warnings
+
+
+def test_a_node_that_stood_still_itself_names_no_other(graph, clock):
+    graph.publishers = ["/simulator", "/recorder"]
+    roll = Roll(graph, "simulator")
+    pass_time(roll, clock, 3, graph)
+    clock.now += 7.0
+    pass_time(roll, clock, 3)
+    assert not graph.warnings
+    pass_time(roll, clock, 3, graph)
+    assert not graph.warnings
+
+
+def test_a_node_repeats_its_part_and_one_that_only_listens_does_not(graph, clock):
+    roll = Roll(graph, "simulator")
+    roll.report(READY)
+    roll.repeat()
+    assert graph.sent[-1] == graph.sent[-2]
+    assert graph.sent[-1].state == READY
+    graph.sent.clear()
+    Roll(graph, "viewer", is_listed=False).repeat()
+    assert not graph.sent

@@ -1,21 +1,17 @@
-"""Runs of the whole suite over real DDS, the nodes in threads of this process."""
+"""Runs of the whole suite over real DDS."""
 
 import re
-import time
 
 import numpy as np
 import pytest
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from recorded import values_of
-from threads import threads
 
 from capture_sim import load_scene, simulate
-from capture_sim.control.simulation import SimulationControl
 from capture_sim.detection.criteria import CaptureState
-from capture_sim.errors import CaptureSimError
 from capture_sim.launch.scenes import load_scene_text
-from capture_sim.launch.watch import Launcher, LauncherPhase
+from capture_sim.launch.watch import LauncherPhase
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.definitions import decoded
 from capture_sim.messages.topics import (
@@ -28,7 +24,6 @@ from capture_sim.messages.topics import (
     RUN_INFO,
     TARGET_ODOMETRY,
 )
-from capture_sim.nodes import simulated_runs
 from capture_sim.nodes.endpoints import TRANSIENT_LOCAL, message_class, qos_of
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
@@ -36,6 +31,9 @@ from capture_sim.recording.read import run_of
 from capture_sim.results import loads_of
 from capture_sim.run import detect
 from tests.nodes.bench_client import Client, statuses, wait_until
+from tests.nodes.bench_processes import processes
+from tests.nodes.forked import Forked
+from tests.nodes.own_domain import own_domain
 
 SENSED = "tilt_m10"
 WAIT_FOR = "[launcher, capture_detector, recorder]"
@@ -46,12 +44,6 @@ DETECTED = {"capture/status", "capture/verdict"}
 KEEP_ALL = QoSProfile(
     history=HistoryPolicy.KEEP_ALL, depth=1, reliability=ReliabilityPolicy.RELIABLE
 )
-
-
-@pytest.fixture
-def start():
-    with threads() as start:
-        yield start
 
 
 @pytest.fixture
@@ -88,7 +80,7 @@ def folder(scenes, tmp_path_factory):
     for name, scene in scenes.items():
         (out / f"{name}.yaml").write_text(scene.to_yaml(), encoding="utf-8")
     paths = ", ".join(str(out / f"{name}.yaml") for name in scenes)
-    with threads() as start:
+    with own_domain(), processes(Forked) as start:
 
         def start_suite(where, launcher, **simulator):
             common = {"__ns": f"/{where}"} if where else {}
@@ -203,10 +195,10 @@ def test_two_recorders_of_one_name_record_the_same(start_all, start, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["my_detector", "/lab/my_detector"])
-def test_nothing_of_an_unpaced_run_passes_a_plain_node_that_is_waited_for(name, start, monkeypatch):
+def test_nothing_of_an_unpaced_run_passes_a_plain_node_that_is_waited_for(name, start):
     """It has the name that the simulator waits for, and starts after it."""
-    monkeypatch.setattr("capture_sim.nodes.announcer._REPORT_PERIOD", 0.1)
-    simulator = start("simulator", rtf=0.0, wait_for=f"[{name}]", overrides=SHORT)
+    soon = "from capture_sim.nodes import announcer; announcer._REPORT_PERIOD = 0.1"
+    simulator = start("simulator", soon, rtf=0.0, wait_for=f"[{name}]", overrides=SHORT)
     simulator.wait_for(f"waiting for {name} to start")
     with Client("my_detector", namespace="/lab") as client:
         received = {}
@@ -226,8 +218,9 @@ def test_node_that_does_not_come_is_named(start):
 
 
 def test_of_two_simulators_on_the_same_topics_the_older_one_runs(start):
-    older = start("simulator", rtf=0.1)
-    younger = start("simulator", rtf=0.1)  # at the same time, of the same name
+    both = [start("simulator", rtf=0.1) for _ in range(2)]  # at the same time, of the same name
+    wait_until(lambda: not all(simulator.is_alive for simulator in both))
+    older, younger = sorted(both, key=lambda simulator: not simulator.is_alive)
     assert younger.status() == 1
     older.wait_for("released")
     later = start("simulator", rtf=0.1, __node="later")
@@ -308,25 +301,22 @@ def test_streams_are_echoed_without_a_warning(start_all):
 
 # losses
 
+LEAKY = """
+left = {"bench/state": 234, "target/odom": 56}
+send = node.SimulatorNode.send
+def leak(self, topic, message):
+    if topic.name in left:
+        left[topic.name] -= 1
+        if left[topic.name] == -1:
+            return True
+    return send(self, topic, message)
+node.SimulatorNode.send = leak
+"""
 
-def test_dropped_messages_are_named(start_all, monkeypatch):
+
+def test_dropped_messages_are_named(start_all):
     """The simulator counts a message and does not send it: all that need it must notice."""
-    monkeypatch.setattr("capture_sim.nodes.follower.DRAIN_TIMEOUT", 1.0)
-
-    def leaky(node):
-        left = {BENCH_STATE: 234, TARGET_ODOMETRY: 56}
-        send = node.send
-
-        def leak(topic, message):
-            if topic in left:
-                left[topic] -= 1
-                if left[topic] == -1:
-                    return True
-            return send(topic, message)
-
-        node.send = leak
-
-    nodes = start_all(leaky, overrides=SHORT)
+    nodes = start_all(LEAKY, overrides=SHORT)
     found = statuses(nodes)
     assert found == {"simulator": 0, "launcher": 0, "capture_detector": 1, "recorder": 1}
     text = nodes["recorder"].text
@@ -336,12 +326,16 @@ def test_dropped_messages_are_named(start_all, monkeypatch):
     assert "ended with messages missing: target/odom: 1 messages missing" in text
 
 
-def test_every_topic_with_every_sample_loses_nothing_with_a_slow_reader(
-    start_all, tmp_path, monkeypatch
-):
-    observe = Launcher.observe
-    monkeypatch.setattr(Launcher, "observe", lambda *a: (time.sleep(5e-4), observe(*a))[1])
-    nodes = start_all(overrides="[run.rate=1000, run.t_end=1.2]")
+SLOW = """
+import time
+from capture_sim.launch.watch import Launcher
+observe = Launcher.observe
+Launcher.observe = lambda *arguments: (time.sleep(5e-4), observe(*arguments))[1]
+"""
+
+
+def test_every_topic_with_every_sample_loses_nothing_with_a_slow_reader(start_all, tmp_path):
+    nodes = start_all(launcher={"change": SLOW}, overrides="[run.rate=1000, run.t_end=1.2]")
     assert statuses(nodes) == dict.fromkeys(nodes, 0)
     run = read_bag(tmp_path / "tilt_0.mcap")
     assert run.complete
@@ -362,54 +356,39 @@ def test_reader_that_stalls_is_dropped_by_name_and_costs_the_others_nothing(star
     assert read_bag(tmp_path / "tilt_0.mcap").complete
 
 
-def test_error_of_publishing_is_reported_at_once_with_its_cause(start):
-    """Only a full queue is waited for: here the message cannot be converted."""
-    node = start("simulator", initial_state="stopped", rtf=0.0).node
-
-    class Broken:
-        def publish(self, message):
-            raise RuntimeError("Failed to publish: type support not from this implementation")
-
-        def wait_for_all_acked(self, limit):
-            return True
-
-    node.outbox._senders[BENCH_STATE] = Broken()
-    node.outbox.reader_timeout = 5.0
-    with pytest.raises(CaptureSimError, match=r"bench/state: cannot be published: .*type support"):
-        node.outbox.send(BENCH_STATE, b"")
-
-
 # the launch
 
 
-def heavier(monkeypatch):
-    """Let the bench differ from its plan: the mass that was fitted is heavier by half."""
-    plan_of = simulated_runs._plan
+#: The bench differs from its plan: the mass that was fitted is heavier by half.
+HEAVIER = """
+from capture_sim.nodes import simulated_runs
+plan_of = simulated_runs._plan
+def plan(scene, armed):
+    planned = plan_of(scene, armed)
+    return planned._replace(hanging_mass=1.5 * planned.hanging_mass)
+simulated_runs._plan = plan
+"""
+GOES_ON = """
+from capture_sim.control.simulation import SimulationControl
+SimulationControl.abort = lambda *arguments: None
+"""
 
-    def plan(scene, armed):
-        planned = plan_of(scene, armed)
-        return planned._replace(hanging_mass=1.5 * planned.hanging_mass)
 
-    monkeypatch.setattr(simulated_runs, "_plan", plan)
-
-
-def test_launcher_aborts_a_launch_that_goes_wrong(start, monkeypatch):
-    heavier(monkeypatch)
+def test_launcher_aborts_a_launch_that_goes_wrong(start):
     launcher = start("launcher")
-    simulator = start("simulator", wait_for="[launcher]", rtf=1.0)
+    simulator = start("simulator", HEAVIER, wait_for="[launcher]", rtf=1.0)
     assert simulator.status() == 1
     assert "aborted by the launcher" in simulator.text
     assert launcher.end() == 1
     assert re.search(r"aborted: speed 0\.\d+ m/s after 0\.\d+ m: must be", launcher.text)
 
 
-def test_an_abort_is_reported_once(start, monkeypatch):
+def test_an_abort_is_reported_once(start):
     """S12: also where the bench goes on, and each further sample differs from the plan."""
-    monkeypatch.setattr(SimulationControl, "abort", lambda *arguments: None)
     launcher = start("launcher", speed_tolerance=0.01)
     changes = "[string.impact_speed=0.3, run.t_end=3]"
-    heavier(monkeypatch)
-    simulator = start("simulator", wait_for="[launcher]", rtf=0.0, overrides=changes)
+    change = HEAVIER + GOES_ON
+    simulator = start("simulator", change, wait_for="[launcher]", rtf=0.0, overrides=changes)
     assert simulator.status() == 0, simulator.text
     launcher.end()
     assert launcher.text.count("aborted: speed") == 1
@@ -432,7 +411,14 @@ def test_launcher_with_an_actuator_follows_no_simulator(start):
 
 
 def test_node_whose_callback_fails_ends_with_a_line(start):
-    node = start("launcher", lambda node: node.every(0.01, lambda: 1 / 0))
+    fails = """
+    freeze = node.LauncherNode.freeze_objects
+    def begin(self):
+        freeze(self)
+        self.every(0.01, lambda: 1 / 0)
+    node.LauncherNode.freeze_objects = begin
+    """
+    node = start("launcher", fails)
     assert node.status() == 1
     assert "stopped by ZeroDivisionError: division by zero" in node.text
 

@@ -4,43 +4,29 @@ What disturbed sensors do to the verdict is in tests/launch/test_disturbed_trial
 a trial in tests/launch/test_trial.py, both on a simulated clock.
 """
 
-import errno
 import math
 import re
 
 import pytest
 from capture_sim.action import RunTrial
 from geometry_msgs.msg import PoseStamped
+from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rig_session import ABORTED, CANCELED, SUCCEEDED, Goal, Session, check, rig
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
-from threads import threads
 
 from capture_sim import load_scene, simulate
 from capture_sim.messages.topics import CHASER_POSE, HOLD, RUN_INFO
 from capture_sim.nodes.endpoints import TRANSIENT_LOCAL
-from capture_sim.nodes.roll import Roll
 from capture_sim.recording.bag import read_bag
-from capture_sim.recording.bag_file import BagFile
 from capture_sim.recording.offline import write_run
-from tests.nodes.bench_client import Client, wait_until
+from tests.nodes.bench_client import wait_until
 
 OUTCOMES = ("captured", "rebound", "missed")
 #: The topics of a driver that publishes Odometry, by the bench's names.
 ODOMETRY = {"chaser/odom": "/mocap/rb1/odom", "target/odom": "/mocap/rb2/odom"}
-
-
-@pytest.fixture
-def start():
-    with threads() as start:
-        yield start
-
-
-@pytest.fixture
-def client():
-    with Client() as client:
-        yield client
 
 
 def test_a_session_of_trials(start, client, tmp_path, capfd):
@@ -107,10 +93,10 @@ def test_simulator_and_replay_let_nothing_go(start, client, tmp_path):
         assert result.problems == ["launcher ended the run early: cancelled"]
     wait_until(lambda: session.holds[-1][1])
     assert session.let_go == 1
+    for source in ("simulation", "replay"):
+        session.launcher.wait_for(f"announces tilt_0 ({source}): ignored")
     # once for each announcer; beside a trial one announces only before it has discovered the trial
     assert 2 <= session.launcher.text.count("ignored, only a goal of ~/run_trial") <= 4
-    assert "announces tilt_0 (simulation): ignored" in session.launcher.text
-    assert "announces tilt_0 (replay): ignored" in session.launcher.text
 
 
 def test_a_replay_of_a_trial_plays_no_hold(start, client, tmp_path):
@@ -159,9 +145,17 @@ def test_no_release_without_fresh_measurements(start, client, tmp_path):
 
 
 class Driver(Node):
+    qos = TRANSIENT_LOCAL
+
     def __init__(self, **options):
         super().__init__("driver", **options)
-        self.create_subscription(Bool, HOLD, lambda message: None, TRANSIENT_LOCAL)
+        self.create_subscription(Bool, HOLD, lambda message: None, self.qos)
+
+
+class DriverWithDeadline(Driver):
+    """No publisher without a deadline of its own serves it."""
+
+    qos = QoSProfile(depth=1, deadline=Duration(seconds=0.5))
 
 
 def test_no_release_without_the_driver(start, client, tmp_path):
@@ -174,6 +168,13 @@ def test_no_release_without_the_driver(start, client, tmp_path):
             lambda: goal.is_over or (goal.feedback and goal.feedback[-1].waiting_for == reason)
         )
         session.wait(1.0)
+        with rig(DriverWithDeadline, {}):
+            wait_until(
+                lambda: (
+                    goal.is_over
+                    or f"{reason} (/driver requests another" in goal.feedback[-1].waiting_for
+                )
+            )
         assert (goal.is_over, session.let_go) == (False, 0)
         with rig(Driver, {}):
             goal.await_phase(RunTrial.Feedback.APPROACH)
@@ -203,6 +204,7 @@ def test_cameras_that_die_under_way_hold_the_chaser(start, client, tmp_path):
         silent = r"motion_capture/(chaser|target): last measurement 0\.5\d* s old"
         assert re.match(silent, result.reason)
         assert session.holds[-1][1]
+        session.launcher.wait_for("aborted: motion_capture")
         assert session.launcher.text.count("aborted: motion_capture") == 1
 
 
@@ -276,13 +278,16 @@ def test_cancel_and_bad_goals(start, client, tmp_path):
         session.recorder.wait_for("last.mcap: ")
 
 
-def test_a_goal_that_comes_with_ctrl_c_gets_a_result(start, client, tmp_path, monkeypatch):
-    session = Session(start, client, tmp_path)
+INTERRUPTED = """
+from capture_sim.nodes.roll import Roll
+def interrupt(self):
+    raise KeyboardInterrupt
+Roll.await_heard = interrupt
+"""
 
-    def interrupt(_):
-        raise KeyboardInterrupt
 
-    monkeypatch.setattr(Roll, "await_heard", interrupt)  # before the trial begins
+def test_a_goal_that_comes_with_ctrl_c_gets_a_result(start, client, tmp_path):
+    session = Session(start, client, tmp_path, change=INTERRUPTED)  # before the trial begins
     status, result = session.goal().result()
     assert (status, result.reason) == (ABORTED, "launcher interrupted")
     assert session.launcher.status() == 0
@@ -296,7 +301,7 @@ def test_best_effort_odometry_under_other_names(start, client, tmp_path, capfd):
     session = Session(start, client, tmp_path, poses=poses, **ODOMETRY)
     with session.bench(ODOMETRY, preset="hard", odometry=True, hidden=0.1, outcomes="[captured]"):
         path = session.try_outcomes(capfd, "captured")
-    assert "best effort" in session.launcher.text
+    session.launcher.wait_for("best effort")
     named = [word for pair in ODOMETRY.items() for word in ("--remap", ":=".join(pair))]
     check("captured", path, capfd, *named)
 
@@ -328,26 +333,33 @@ def test_diagnostics_of_the_sources(start, client, tmp_path):
         wait_until(lambda: name in found and found[name].level == b"\0")
         wait_until(lambda: offset() == pytest.approx(0.1, abs=0.05))
         values = values_of(name)
-        assert 1.0 < float(values["rate [Hz]"]) < 150.0  # on a busy machine
+        assert float(values["rate [Hz]"]) > 0.0
         assert values["published by /fake_rig"] == "reliable, volatile"
     found.clear()
     wait_until(lambda: name in found and found[name].message == "no publisher")
 
 
-def test_a_full_disk_is_in_the_result(start, client, tmp_path, monkeypatch):
-    session = Session(start, client, tmp_path)
-    add = BagFile.add
+FILLED_UP = """
+import errno
+from pathlib import Path
+from capture_sim.recording.bag_file import BagFile
+add = BagFile.add
+def fill_up(self, topic, time, *message):
+    if self.span and time - self.span[0] > 3 * 10**8 and Path("{full}").exists():
+        raise OSError(errno.EFBIG, "File too large")
+    return add(self, topic, time, *message)
+BagFile.add = fill_up
+"""
 
-    def fill_up(self, topic, time, *message):
-        if self.span and time - self.span[0] > 3 * 10**8:
-            raise OSError(errno.EFBIG, "File too large")
-        return add(self, topic, time, *message)
 
+def test_a_full_disk_is_in_the_result(start, client, tmp_path):
+    full = tmp_path / "full"
+    full.touch()
+    session = Session(start, client, tmp_path, recorder_change=FILLED_UP.format(full=full))
     with session.bench(outcomes="[captured, rebound]"):
-        monkeypatch.setattr(BagFile, "add", fill_up)
         status, result = session.goal(0.0).result()
         assert (status, result.verdict, result.complete) == (SUCCEEDED, "captured", False)
         assert any("cannot write: File too large" in problem for problem in result.problems)
-        monkeypatch.setattr(BagFile, "add", add)
+        full.unlink()
         _, result = session.goal().result()
         assert (result.verdict, result.complete) == ("rebound", True)

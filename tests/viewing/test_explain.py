@@ -108,7 +108,7 @@ def test_the_diagram_has_every_transition_of_the_detector():
         memory = SimpleNamespace(**dict(zip(fields.dtype.names, *fields.tolist(), strict=True)))
         for k, (place, rate) in enumerate(zip(places.tolist(), rates.tolist(), strict=True)):
             before = CaptureState(memory.state)
-            evaluate(criteria, memory, Place(k * step, *place, *rate), False, 0.0)
+            evaluate(criteria, memory, Place(k * step, *place, *rate), False, 0.0, 0.0)
             seen.add((before, CaptureState(memory.state)))
             if memory.state <= CaptureState.CONTACT:
                 ended = SimpleNamespace(**vars(memory))
