@@ -131,14 +131,14 @@ STREAM_COUNTS = Topic(
     stamp=Stamp.NONE,
 )
 
-#: What nodes report of their part in runs; not part of a run, so not recorded.
+#: What nodes report of their part in runs; not part of a run, so not recorded.  Only the last one
+#: counts: a node that comes to a trial would first hear of the runs before it.
 ROLL = Topic(
     "bench/roll",
     "capture_sim/msg/Roll",
     (),
     Rate.EVENT,
-    depth=10,
-    transient_local=True,
+    **_KEPT,
     stamp=Stamp.NONE,
 )
 

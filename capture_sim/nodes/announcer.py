@@ -17,6 +17,9 @@ from capture_sim.nodes.roll import Part, Roll, RunReport, has_streams, node_of, 
 
 #: After a run the participants get this long to close their files, s (wall).
 END_TIMEOUT = 60.0
+#: A node that has heard no other this long after its start, s (wall), is alone: on a busy machine
+#: discovery needs more than :data:`DISCOVERY_TIME`, and beside a trial nothing may be published.
+ALONE_TIME = 1.0
 #: What is waited for is logged after this long, then at growing intervals, s (wall).
 _REPORT_PERIOD = 2.0
 
@@ -103,7 +106,11 @@ class Announcer:
         self._changed = 0.0  # s (wall), when they did last
 
     def await_nodes(self, name: str, limit: float) -> None:
-        """Wait until the nodes to wait for are there; CaptureSimError after ``limit`` s (wall)."""
+        """Wait until the nodes to wait for are there; CaptureSimError after ``limit`` s (wall).
+
+        Without such nodes, wait until those that are there can have been discovered.
+        """
+        self._await_discovery()
         self._check_trials()
         self.await_none(name, self._missing, limit)
 
@@ -178,6 +185,19 @@ class Announcer:
         """Raise CaptureSimError if a run is on and a node is found in a trial of a real bench."""
         if self._is_on and part.is_in_trial:
             raise _beside([part.node])
+
+    def _await_discovery(self) -> None:
+        """Wait after the node's start until others are heard, or until it is taken for alone."""
+        is_alone = not self._wait_for
+
+        def age() -> float:
+            self._check()
+            return time.monotonic() - self._node.created
+
+        def is_over() -> bool:
+            return age() > DISCOVERY_TIME and (not is_alone or bool(self._roll.parts))
+
+        self._node.wait(is_over, max(0.0, ALONE_TIME - age()))
 
     def _check_trials(self) -> None:
         """Raise CaptureSimError during a trial, whose nodes would read this node's topics."""

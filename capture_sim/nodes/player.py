@@ -24,7 +24,7 @@ from capture_sim.messages.topics import (
     topics_of,
 )
 from capture_sim.nodes.announcer import Announcer
-from capture_sim.nodes.endpoints import DISCOVERY_TIME, message_class
+from capture_sim.nodes.endpoints import message_class
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run as run_process
@@ -181,10 +181,7 @@ class PlayerNode(BenchNode):
         count = 0
         stamp = self._playback.start
         self._control.begin()
-        if self._wait_for:
-            self._announcer.await_nodes(name, self._start_timeout)
-        else:
-            self.wait(limit=DISCOVERY_TIME)
+        self._announcer.await_nodes(name, self._start_timeout)
         cast = self._announcer.cast(
             lambda part: not has_streams(part.role) or any(map(part.is_called, self._wait_for))
         )

@@ -31,6 +31,8 @@ from capture_sim.nodes.node import POLL, BenchNode
 
 #: A node that has just joined the roll is heard within this long, s (wall).
 HEARING_TIMEOUT = 2.0
+#: A node whose run has ended has closed its file within this long, s (wall), as a rule.
+FREE_TIMEOUT = 8.0
 #: A node repeats its part so often, s (wall); one that is not heard for so long is named.
 SIGN_PERIOD, SILENCE_LIMIT = 1.0, 5.0
 FREE, READY, DONE = 0, 1, 2
@@ -183,6 +185,8 @@ class Roll:
         there = {name for name in self._nodes() if name != own}
         self._heard = {name: self._heard.get(name, now) for name in there}
         self._silent &= there
+        for participant in self.parts:
+            self.is_there(participant)  # notes that it was
         for name in sorted(there - self._silent):
             if now > self._heard[name] + SILENCE_LIMIT:
                 self._silent.add(name)
@@ -203,7 +207,7 @@ class Roll:
             node_of(id_)
             for id_ in participants
             if not (id_ in self.parts and has(self.parts[id_]))
-            and (self.is_there(id_) or id_ not in self._seen)
+            and self._may_be_there(id_)
             and id_ != self.id
         ]
 
@@ -215,9 +219,27 @@ class Roll:
             if part.state != READY and str(source) in part.sources and self.is_there(part.id)
         ]
 
+    def busy(self, source: RunSource) -> list[Part]:
+        """Return the parts of nodes that take part in such runs, but are in another run now."""
+        return [
+            part
+            for part in self.parts.values()
+            if part.state == READY and str(source) in part.sources and self.is_there(part.id)
+        ]
+
+    def await_free(self, source: RunSource, until: Callable[[], bool]) -> None:
+        """Wait until no node is :meth:`busy`, or ``until()`` is true, for a while at most.
+
+        A recorder may still be closing the file of a run that was played.
+        """
+        self._node.wait(lambda: until() or not self.busy(source), FREE_TIMEOUT)
+
     def in_trials(self) -> list[str]:
-        """Return the nodes that take part in a trial of a real bench now."""
-        return [p.node for p in self.parts.values() if p.is_in_trial and self.is_there(p.id)]
+        """Return the nodes that take part in a trial of a real bench now.
+
+        On a busy machine a node is heard before it is discovered: it counts.
+        """
+        return [p.node for p in self.parts.values() if p.is_in_trial and self._may_be_there(p.id)]
 
     def await_heard(self) -> None:
         """Wait until all nodes that publish on the roll have been heard, for a while at most."""
@@ -248,6 +270,10 @@ class Roll:
         if is_there:
             self._seen.add(participant)
         return is_there or participant == self.id
+
+    def _may_be_there(self, participant: str) -> bool:
+        """Return False if a participant has left: it was there, and is not now."""
+        return self.is_there(participant) or participant not in self._seen
 
     def _nodes(self) -> Counter[str]:
         now = time.monotonic()

@@ -23,7 +23,6 @@ from capture_sim.launch.scenes import load_requested, load_scene
 from capture_sim.messages.topics import (
     SIMULATOR,
 )
-from capture_sim.nodes.endpoints import DISCOVERY_TIME
 from capture_sim.nodes.node import BenchNode
 from capture_sim.nodes.parameters import ParameterError
 from capture_sim.nodes.process import run
@@ -144,7 +143,6 @@ class SimulatorNode(BenchNode):
         self._compile()
         sys.setswitchinterval(SWITCH_INTERVAL)
         self.freeze_objects()
-        self.wait(limit=max(0.0, self.created + DISCOVERY_TIME - time.monotonic()))
         try:
             while True:
                 self.wait(lambda: self.control.state is not State.STOPPED)

@@ -24,6 +24,7 @@ class TrialAnnouncement:
         self._node, self._roll = node, roll
         self._announced: Announcement | None = None
         self._cast = Cast([])
+        self._absent: list[str] = []  # a line for each node that is there, but in another run
         self._telemetry: LauncherTelemetry
         self._is_closed = self._is_delivered = False
 
@@ -74,7 +75,8 @@ class TrialAnnouncement:
         if CAPTURE_DETECTOR not in self._cast.roles and trial.is_released:
             reason = reason or "no capture_detector takes part"
         files = [report.file for report in reports if report.file]
-        problems = [*trial.problems, *(p for report in reports for p in report.problems)]
+        problems = [*self._absent, *trial.problems]
+        problems += [problem for report in reports for problem in report.problems]
         return {
             "verdict": verdict,
             "reason": reason,
@@ -92,8 +94,13 @@ class TrialAnnouncement:
         """Announce the trial to all nodes that take part in trials."""
         goal = self.trial.goal
         self._cast = cast = Cast(self._roll.free(RunSource.TRIAL))
+        busy = {part.role: part.node for part in self._roll.busy(RunSource.TRIAL)}
         for role in {CAPTURE_DETECTOR, RECORDER} - {*cast.roles}:
-            self._node.get_logger().warning(f"{goal.name}: no {role} takes part")
+            text = f"no {role} takes part"
+            if role in busy:
+                text = f"{busy[role]} does not take part: it is in another run"
+                self._absent.append(text)
+            self._node.get_logger().warning(f"{goal.name}: {text}")
         run = RunDescription.of(
             self.trial.scene,
             uuid.uuid4().hex,

@@ -29,6 +29,7 @@ from capture_sim.launch.watch import Launcher, LaunchSettings
 from capture_sim.messages.topics import (
     LAUNCHER,
     RUN_INFO,
+    RunSource,
     topics_of,
 )
 from capture_sim.nodes.follower import RUN_END_TIMEOUT
@@ -194,6 +195,7 @@ class TrialServer:
             self._refuse(str(error))
             return
         self._roll.await_heard()
+        self._roll.await_free(RunSource.TRIAL, lambda: handle.is_cancel_requested)
         run = TrialAnnouncement(self._node, self._roll, trial)
         self._said = ""
         self._trial = trial

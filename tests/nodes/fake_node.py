@@ -38,7 +38,7 @@ class FakeNode:
     """
 
     def __init__(self, name="/recorder"):
-        self.now = 0.0
+        self.now = self.created = 0.0
         self.name, self.publishers = name, [name]
         self.listened, self.sent = [], []
         self.messages, self.outbox, self.log = Messages(), FakeOutbox(), FakeLog()

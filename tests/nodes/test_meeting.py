@@ -7,10 +7,10 @@ from capture_sim.errors import CaptureSimError
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.topics import BENCH_STATE, ROLL, RUN_INFO, RunSource
 from capture_sim.nodes import announcer, follower, roll
-from capture_sim.nodes.announcer import Announcer
+from capture_sim.nodes.announcer import ALONE_TIME, Announcer
 from capture_sim.nodes.endpoints import DISCOVERY_TIME, message_class
 from capture_sim.nodes.follower import JOIN_TIMEOUT, Follower
-from capture_sim.nodes.roll import FREE, READY, Roll, RunReport, run_key
+from capture_sim.nodes.roll import DONE, FREE, FREE_TIMEOUT, READY, Roll, RunReport, run_key
 from tests.nodes.fake_node import FakeNode
 
 OTHER = "/launcher#1"
@@ -164,6 +164,71 @@ def test_subscriptions_that_have_just_come_may_not_be_all(node, announcing):
     node.at(5.0, lambda: node.outbox.found[BENCH_STATE].append("/launcher"))
     announcing.await_nodes("tilt_0", 60.0)
     assert node.now >= 5.0 + DISCOVERY_TIME
+
+
+def alone(node):
+    node.name, node.publishers = "/simulator", ["/simulator"]
+    return Announcer(node, Roll(node, "simulator"), RunSource.SIMULATION, [])
+
+
+def test_a_node_that_hears_no_other_is_alone(node):
+    alone(node).await_nodes("tilt_0", 60.0)
+    assert node.now == pytest.approx(ALONE_TIME, abs=0.1)
+
+
+def test_a_node_that_hears_another_waits_no_longer(node):
+    node.at(0.1, lambda: node.hear(ROLL, part_of(FREE)))
+    alone(node).await_nodes("tilt_0", 60.0)
+    assert node.now == pytest.approx(DISCOVERY_TIME, abs=0.1)
+
+
+@pytest.mark.parametrize("is_named", [True, False])
+def test_no_run_beside_a_trial_that_is_discovered_late(node, is_named):
+    """On a busy machine discovery took 0.6 s, and a name is known later than the first message."""
+
+    def join():
+        if is_named:
+            node.publishers.append("/launcher")
+        part = part_of(READY)
+        part.source = str(RunSource.TRIAL)
+        node.hear(ROLL, part)
+
+    node.at(0.8 * ALONE_TIME, join)
+    with pytest.raises(CaptureSimError, match="/launcher in a trial of a real bench"):
+        alone(node).await_nodes("tilt_0", 60.0)
+
+
+def test_a_run_after_a_node_was_killed_in_a_trial(node):
+    """It can report no end of its trial."""
+    announcing, part = alone(node), part_of(READY)
+    part.source = str(RunSource.TRIAL)
+    node.publishers.append("/launcher")
+    node.hear(ROLL, part)
+    node.at(20.0, lambda: node.publishers.remove("/launcher"))
+    node.wait(limit=21.0)
+    announcing.await_nodes("tilt_0", 60.0)
+
+
+@pytest.mark.parametrize("ends, waited", [(2.0, 2.0), (60.0, FREE_TIMEOUT)])
+def test_a_trial_waits_for_a_node_that_still_closes_its_file(node, ends, waited):
+    node.name, node.publishers = "/launcher", ["/launcher", "/recorder"]
+    taking_part, other = Roll(node, "launcher"), "/recorder#1"
+
+    def be(state):
+        node.hear(
+            ROLL,
+            message_class(ROLL.type_name)(
+                participant=other, role="recorder", sources=["trial"], state=state, source="replay"
+            ),
+        )
+
+    be(READY)
+    node.at(ends, lambda: be(DONE))
+    taking_part.await_free(RunSource.TRIAL, lambda: False)
+    assert node.now == pytest.approx(waited, abs=0.1)
+    is_busy = bool(taking_part.busy(RunSource.TRIAL))
+    assert is_busy == (ends > waited)
+    assert is_busy != bool(taking_part.free(RunSource.TRIAL))
 
 
 def test_who_does_not_come_is_named(node, announcing):
