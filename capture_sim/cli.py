@@ -60,7 +60,7 @@ def command_parser(name: str) -> argparse.ArgumentParser:
 
     Ctrl-C also works while a compiled module is imported.
     """
-    from capture_sim.interrupts import in_worker  # not for --help
+    from capture_sim.base.interrupts import in_worker  # not for --help
 
     command = in_worker(lambda: import_module(f"capture_sim.commands.{name}"))
     parser = _Parser(
@@ -181,7 +181,7 @@ def _complain(text: str) -> None:
 
 
 def _interrupted(state: str = "") -> int:
-    from capture_sim.interrupts import leave_if_busy
+    from capture_sim.base.interrupts import leave_if_busy
 
     _complain(f"interrupted: {state}" if state else "interrupted")
     leave_if_busy(INTERRUPTED)

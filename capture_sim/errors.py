@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from capture_sim.run import Run
+    from capture_sim.run.run import Run
 
 
 class CaptureSimError(Exception):

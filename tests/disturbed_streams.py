@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from capture_sim.launch.interlocks import Sensor
+from capture_sim.trial.interlocks import Sensor
 
 TARGET, STOP, SPEED, DROP, ASIDE = 0.66, 0.2125, 0.105, 0.1, 0.12  # m, m/s
 RETURNED, STROKE, PUSH = 0.4, 0.003, 0.1  # speed after a rebound by that before; m; s

@@ -11,8 +11,8 @@ from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_experiments, load_all, number, prepare_folder, reader
 from capture_sim.commands.output import IMAGES_MISSING, reported_if_interrupted, warn
 from capture_sim.commands.results_folder import Recorded, ResultsFolder
-from capture_sim.control.pacing import FACTORS
-from capture_sim.nodes.supervisor import check_ros, run_suite
+from capture_sim.commands.suite import check_ros, run_suite
+from capture_sim.nodes.simulation.pacing import FACTORS
 from capture_sim.recording.read import read_run
 
 DESCRIPTION = (

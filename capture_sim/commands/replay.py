@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from capture_sim.commands.inputs import add_remaps, folder_beside, number, prepare_folder
-from capture_sim.control.pacing import FACTORS
+from capture_sim.commands.suite import replay
 from capture_sim.errors import RecordingError
-from capture_sim.nodes.supervisor import replay
+from capture_sim.nodes.simulation.pacing import FACTORS
 from capture_sim.recording.bag import remap_of
 from capture_sim.recording.playback import Playback
 from capture_sim.scene.quantities import Range

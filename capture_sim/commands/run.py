@@ -16,9 +16,9 @@ from capture_sim.commands.output import (
 )
 from capture_sim.commands.results_folder import Recorded, ResultsFolder
 from capture_sim.errors import SimulationError
-from capture_sim.launch.scenes import overridden_name
-from capture_sim.results import implausible_stroke
-from capture_sim.simulation import simulate
+from capture_sim.run.results import implausible_stroke
+from capture_sim.run.simulation import simulate
+from capture_sim.scene.loading import overridden_name
 
 DESCRIPTION = "Run scenes without ROS; record, tabulate and draw the results."
 EXAMPLE = "  capture-sim run tilt_0 tilt_p10 --set buffer.c_A=20 --out runs"

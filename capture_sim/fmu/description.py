@@ -10,7 +10,7 @@ import zipfile
 from pathlib import Path
 
 from capture_sim import __version__
-from capture_sim.files import whole_file
+from capture_sim.base.files import whole_file
 from capture_sim.fmu.library import Unit, link, write_sources
 from capture_sim.fmu.variables import Kind, Variable
 

@@ -9,8 +9,6 @@ from typing import Any
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
-from capture_sim.control.pacing import FACTORS, Pacer
-from capture_sim.control.simulation import SimulationControl, State
 from capture_sim.messages.topics import (
     CAPTURE_DETECTOR,
     HOLD,
@@ -23,12 +21,14 @@ from capture_sim.messages.topics import (
     topic_named,
     topics_of,
 )
-from capture_sim.nodes.announcer import Announcer
-from capture_sim.nodes.endpoints import DISCOVERY_TIME, message_class
-from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.parameters import ParameterError
-from capture_sim.nodes.process import run as run_process
-from capture_sim.nodes.roll import Roll, has_streams
+from capture_sim.nodes.base.endpoints import DISCOVERY_TIME, message_class
+from capture_sim.nodes.base.node import BenchNode
+from capture_sim.nodes.base.parameters import ParameterError
+from capture_sim.nodes.base.process import run as run_process
+from capture_sim.nodes.protocol.announcer import Announcer
+from capture_sim.nodes.protocol.roll import Roll, has_streams
+from capture_sim.nodes.simulation.control import SimulationControl, State
+from capture_sim.nodes.simulation.pacing import FACTORS, Pacer
 from capture_sim.nodes.start import FAILED, OK
 from capture_sim.recording.bag import remap_of
 from capture_sim.recording.playback import Playback, PlayedCounts, publisher_of, replayed

@@ -14,10 +14,19 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from rosbags.typesys.store import Typestore
 
+from capture_sim.base.software import newer_line, newer_version
 from capture_sim.detection.criteria import CaptureState, CaptureStatus
 from capture_sim.detection.measurements import Counts, Reason, Source
+from capture_sim.dynamics.samples import (
+    SAMPLE,
+    TOUCH,
+    TRACE,
+    Event,
+    EventKind,
+    Extremes,
+    Phase,
+)
 from capture_sim.errors import MessageError, RecordingError, one_line
-from capture_sim.launch.scenes import load_scene_text
 from capture_sim.messages.cdr import Layout, columns, sequence_of
 from capture_sim.messages.convert import CRITERIA, LaunchAction, RunDescription
 from capture_sim.messages.definitions import NO_DEFINITION, store_of
@@ -51,19 +60,10 @@ from capture_sim.recording.write import (
     SCENE_ATTACHMENT,
     describing,
 )
-from capture_sim.results import extremes_from_text, with_forces_of_touches
-from capture_sim.samples import (
-    SAMPLE,
-    TOUCH,
-    TRACE,
-    Event,
-    EventKind,
-    Extremes,
-    Phase,
-)
+from capture_sim.run.results import extremes_from_text, with_forces_of_touches
+from capture_sim.run.series import Series, in_order
+from capture_sim.scene.loading import load_scene_text
 from capture_sim.scene.parts import Detector
-from capture_sim.series import Series, in_order
-from capture_sim.software import newer_line, newer_version
 
 if TYPE_CHECKING:
     from capture_sim.scene.parts import Scene

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from capture_sim.dynamics.samples import EventKind
 from capture_sim.errors import CaptureSimError, SimulationError
-from capture_sim.results import first_touch, impact_speed
-from capture_sim.run import Run
-from capture_sim.samples import EventKind
+from capture_sim.run.results import first_touch, impact_speed
+from capture_sim.run.run import Run
+from capture_sim.run.simulation import simulate
 from capture_sim.scene.parts import Scene, as_name
-from capture_sim.simulation import simulate
 
 #: Width of the drawn time of a run of one sample, s.
 SHORTEST_WINDOW = 1e-3

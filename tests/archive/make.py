@@ -166,7 +166,6 @@ def _yaml(value):
 def operate():
     """Run one trial as an operator does: by the action, or by the services before there was one."""
     import rclpy
-
     from capture_sim.nodes.dds import configure
 
     configure(os.environ)

@@ -1,0 +1,1 @@
+"""Files, resources, versions, interrupts, tables and the compiler: nothing of the bench."""

@@ -1,0 +1,1 @@
+"""Kernels: functions that Numba compiles, and what compiles and caches them."""

@@ -1,0 +1,1 @@
+"""What moves, and when: the model, the solver, the engine, and the bench that runs it."""

@@ -1,0 +1,1 @@
+"""The launcher: it compares a launch with its plan."""

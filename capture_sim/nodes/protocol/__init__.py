@@ -1,0 +1,1 @@
+"""How nodes agree on a run: the roll call, the announcement, the following."""

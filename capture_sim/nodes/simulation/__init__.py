@@ -1,0 +1,1 @@
+"""The simulator and the player: play, pause, pace, step."""

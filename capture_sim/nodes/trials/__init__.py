@@ -1,0 +1,1 @@
+"""How trials of a real bench are run over ROS."""

@@ -1,0 +1,1 @@
+"""A trial of a real bench, without ROS."""
