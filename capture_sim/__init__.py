@@ -22,6 +22,8 @@ import importlib
 from pkgutil import extend_path
 from typing import TYPE_CHECKING, Any
 
+from capture_sim.base.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from capture_sim.detection.criteria import CaptureState as CaptureState
     from capture_sim.dynamics.bench import Bench as Bench
@@ -44,8 +46,6 @@ if TYPE_CHECKING:
 
 # lets capture_sim.msg, generated into an install prefix, be found from a source checkout
 __path__ = extend_path(__path__, __name__)
-
-__version__ = "0.2.0"
 
 # loaded at first use: code that needs no kernels does not import the compiler
 _MODULES = {

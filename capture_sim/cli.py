@@ -16,8 +16,9 @@ from itertools import takewhile
 from typing import Any, NoReturn
 
 import capture_sim
-from capture_sim import __version__
-from capture_sim.commands import BAD_INPUT, COMMANDS, FAILED, GROUPS, INTERRUPTED, OK
+from capture_sim.base.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK
+from capture_sim.base.version import __version__
+from capture_sim.commands import COMMANDS, GROUPS
 from capture_sim.errors import explain_import_error, one_line
 
 #: Errors that a wrong file, value or device raises, unless they were turned into a line before.

@@ -12,7 +12,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import capture_sim
+from capture_sim.base.version import __version__
 
 _PACKAGES = ("numpy", "numba", "mcap", "rosbags")
 _OWN = "capture_sim"
@@ -33,7 +33,7 @@ def own_version() -> str:
     files differ from the commit's, ``0.2.0`` from an installation or without git.
     """
     commit = _commit(Path(__file__).resolve().parents[2])
-    return f"{capture_sim.__version__}+{commit}" if commit else capture_sim.__version__
+    return f"{__version__}+{commit}" if commit else __version__
 
 
 def _commit(root: Path) -> str:
@@ -72,7 +72,7 @@ def newer_version(software: Iterable[str]) -> str:
     """Return this package's version in a list of ``"name version"``, if above ours; else empty."""
     for line in software:
         name, _, found = line.partition(" ")
-        if name == _OWN and _numbers(found) > _numbers(capture_sim.__version__):
+        if name == _OWN and _numbers(found) > _numbers(__version__):
             return found
     return ""
 
@@ -80,7 +80,7 @@ def newer_version(software: Iterable[str]) -> str:
 def newer_line(found: str) -> str:
     """Return the line about a file that a newer version of this package has made."""
     return (
-        f"made by capture_sim {found}, read by {capture_sim.__version__}: "
+        f"made by capture_sim {found}, read by {__version__}: "
         "what only the newer version knows is left out"
     )
 

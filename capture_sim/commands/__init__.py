@@ -7,9 +7,6 @@ so it may import all it needs at its top.
 
 from __future__ import annotations
 
-#: Exit statuses: success, negative result, bad input, interrupted.
-OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-
 #: Groups of commands with one line each, as ``capture-sim --help`` lists them.
 GROUPS = {
     "simulate": {

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.base.software import software_versions
 from capture_sim.base.tables import print_table
-from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_geometry,

@@ -11,8 +11,8 @@ from typing import Any, Self
 
 from rich.console import Console
 
+from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.base.tables import print_table
-from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_limits,

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import fields
 
-from capture_sim.commands import FAILED, OK
+from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.commands.inputs import add_geometry, add_remaps, open_run
 from capture_sim.commands.output import echo
 from capture_sim.detection.criteria import CaptureStatus

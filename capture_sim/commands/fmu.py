@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from capture_sim.base.exit_status import OK
 from capture_sim.base.files import is_device, why_no_file, why_not_writable
-from capture_sim.commands import OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_overrides, load
 from capture_sim.commands.output import echo

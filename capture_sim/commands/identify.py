@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import math
 
+from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.base.tables import print_table
-from capture_sim.commands import FAILED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_geometry,

@@ -21,10 +21,10 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from capture_sim.base.exit_status import BAD_INPUT, FAILED, OK, RECORDING_IN, REFUSAL
 from capture_sim.base.interrupts import tied, watch_signals
 from capture_sim.errors import CaptureSimError, MissingPackageError, explain_import_error
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, PLAYER, RECORDER, SIMULATOR
-from capture_sim.nodes.start import FAILED, OK, RECORDING_IN, REFUSAL, REFUSED
 from capture_sim.scene.parts import Scene
 
 #: After one node has died the others get this long to notice and to close their files, and after a
@@ -180,11 +180,11 @@ class _Processes:
                 del self._running[name]
                 if code != OK:
                     _print(f"{name} {_describe(code)}")
-                    status = max(status, REFUSED if code == REFUSED else FAILED)
+                    status = max(status, BAD_INPUT if code == BAD_INPUT else FAILED)
                 if name == announcer:
                     self._interrupt()
                 if code != OK or name == announcer:
-                    patience = 0.0 if code == REFUSED else GRACE
+                    patience = 0.0 if code == BAD_INPUT else GRACE
                     deadline = min(deadline, time.monotonic() + patience)
             if self._running and time.monotonic() > deadline:
                 _print(f"ending {', '.join(self._running)}")

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from capture_sim.base.exit_status import INTERRUPTED, OK
 from capture_sim.base.interrupts import terminated_as_interrupted
 from capture_sim.base.tables import print_table
-from capture_sim.commands import INTERRUPTED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_limits,

@@ -44,8 +44,8 @@ from capture_sim.detection.measurements import (
 )
 from capture_sim.detection.noise import NoiseEstimate, third_difference
 from capture_sim.detection.smoother import MeasuredTip, TipPath
-from capture_sim.dynamics.model.equations import tip_motion
 from capture_sim.dynamics.model.trig import wrapped_angle
+from capture_sim.scene.geometry import tip_motion
 from capture_sim.scene.parts import Scene
 
 #: Number of measurements of the buffer that are averaged if a single one is too noisy.

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from capture_sim import __version__
 from capture_sim.base.files import whole_file
+from capture_sim.base.version import __version__
 from capture_sim.detection.criteria import MEMORY, Criteria, new_memory
 from capture_sim.detection.exact import ROW
 from capture_sim.dynamics.bench import CAUSES, Bench

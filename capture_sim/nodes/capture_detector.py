@@ -27,7 +27,8 @@ from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.base.parameters import ParameterError, declare_scene
 from capture_sim.nodes.base.process import run
 from capture_sim.nodes.base.sources import SourceDiagnostics
-from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunEnd, RunPart
+from capture_sim.nodes.protocol.ends import RunEnd
+from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
 from capture_sim.nodes.protocol.roll import RunReport
 from capture_sim.scene.parts import Detector
 

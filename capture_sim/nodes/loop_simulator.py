@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.base.files import why_no_file, why_not_writable
 from capture_sim.errors import CaptureSimError, MessageError, RecordingError
 from capture_sim.hardware.guard import Limits
@@ -39,7 +40,6 @@ from capture_sim.nodes.base.endpoints import message_class
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.base.parameters import declare_scene
 from capture_sim.nodes.base.process import run
-from capture_sim.nodes.start import FAILED, OK
 from capture_sim.recording.offline import write_run
 from capture_sim.run.simulation import check_memory
 

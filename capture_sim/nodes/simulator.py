@@ -13,6 +13,7 @@ from rclpy.parameter import Parameter
 
 from capture_sim.base.compiled.kernels import is_compiled
 from capture_sim.base.compiled.progress import watch_compilation
+from capture_sim.base.exit_status import FAILED
 from capture_sim.base.files import why_no_folder
 from capture_sim.dynamics.bench import compile_kernels
 from capture_sim.errors import CaptureSimError
@@ -23,14 +24,15 @@ from capture_sim.nodes.base.endpoints import DISCOVERY_TIME
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.base.parameters import ParameterError
 from capture_sim.nodes.base.process import run
-from capture_sim.nodes.simulation.control import CutKind, SimulationControl, State
-from capture_sim.nodes.simulation.pacing import FACTORS, Pacer
+from capture_sim.nodes.protocol.ends import CutKind
+from capture_sim.nodes.simulation.control import SimulationControl, State
+from capture_sim.nodes.simulation.pacing import Pacer
 from capture_sim.nodes.simulation.services import SimulationServices
 from capture_sim.nodes.simulation.simulated_runs import RunOutcome, SimulatedRuns
-from capture_sim.nodes.start import FAILED
 from capture_sim.scene.launch_plan import plan_launch
 from capture_sim.scene.loading import load_requested, load_scene
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import REAL_TIME_FACTORS
 
 #: A paced simulator hands its GIL over this often, s: Python's own 5 ms would make ticks late.
 SWITCH_INTERVAL = 2e-4
@@ -67,8 +69,8 @@ class SimulatorNode(BenchNode):
             "rtf",
             1.0,
             "real-time factor: simulated seconds per second; 0 runs without pacing",
-            low=FACTORS.low,
-            high=FACTORS.high,
+            low=REAL_TIME_FACTORS.low,
+            high=REAL_TIME_FACTORS.high,
             read_only=False,
         )
         state = self.declare(

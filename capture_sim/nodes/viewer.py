@@ -34,7 +34,8 @@ from capture_sim.nodes.base.endpoints import from_bytes
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.base.parameters import ParameterError
 from capture_sim.nodes.base.process import run
-from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunEnd, RunPart
+from capture_sim.nodes.protocol.ends import RunEnd
+from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
 from capture_sim.nodes.protocol.roll import RunReport
 from capture_sim.run.reconstruction import measured_samples
 from capture_sim.run.series import Series

@@ -13,12 +13,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from capture_sim.base.compiled.kernels import plain
-from capture_sim.dynamics.model.equations import tip_motion
 from capture_sim.dynamics.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 from capture_sim.errors import SceneError
 from capture_sim.run.series import NO_SERIES, Series
 from capture_sim.run.touches import Touches, normal_force, unseen_impact
-from capture_sim.scene.geometry import nearest_on_wall
+from capture_sim.scene.geometry import nearest_on_wall, tip_motion
 from capture_sim.scene.launch_plan import travel_to_touch
 from capture_sim.scene.parts import PlanarState, Scene, as_name
 

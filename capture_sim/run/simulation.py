@@ -34,6 +34,14 @@ from capture_sim.scene.loading import change_scene, load_scene
 from capture_sim.scene.parts import RunSettings, Scene
 
 
+class RunError(SimulationError):
+    """The integration of :func:`simulate` stopped early; ``result`` is the run up to the stop."""
+
+    def __init__(self, message: str, partial: np.ndarray, result: Run) -> None:
+        super().__init__(message, partial)
+        self.result = result
+
+
 def simulate(
     scene: Scene | str | Path,
     overrides: Overrides = (),
@@ -76,9 +84,9 @@ def simulate(
     ------
     SceneError
         A value is out of its range, or the samples need more than :data:`MAX_MEMORY`.
-    SimulationError
+    RunError
         The integration stopped early; the message names time, phase and cause, and ``result`` has
-        the run up to then.
+        the run up to then.  It is a SimulationError.
     """
     if not isinstance(scene, Scene):
         scene = load_scene(scene, overrides)
@@ -122,15 +130,12 @@ def simulate(
         failure="" if failure is None else str(failure),
     )
     if failure is not None:
-        failure.result = result
-        raise failure
+        raise RunError(str(failure), failure.partial, result)
     if not check:
         return result
     try:
         finer = simulate(dataclasses.replace(scene, run=run.refined(100.0, 4.0)), t_eval=result.t)
-    except SimulationError as error:
-        if error.result is None:
-            raise
+    except RunError as error:
         finer = error.result
     return result.replaced(check=_compare(result, finer))
 
@@ -177,9 +182,7 @@ def _on_grid(scene: Scene) -> Run:
     """Run a scene again, sampled at ``run.state_rate``."""
     try:
         return simulate(scene)
-    except SimulationError as error:
-        if error.result is None:
-            raise
+    except RunError as error:
         return error.result
 
 

@@ -1,4 +1,4 @@
-"""Geometry of the cone: distance of the tip to its walls.
+"""Geometry of the tip and the cone: where the tip is, and its distance to the walls.
 
 In the target's frame the line BE lies at x = -L_T.  Both walls are described in
 (u, Y): u is the distance ahead of BE, towards the chaser; Y the offset from the axis
@@ -10,8 +10,30 @@ meet its face, its inner edge and its outer lip.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from capture_sim.base.compiled.kernels import inline_kernel
+
+
+@inline_kernel
+def tip_motion(
+    y: Any, a: float, sS: Any, cS: Any, sP: Any, cP: Any, sT: Any, cT: Any
+) -> tuple[Any, Any, Any, Any]:
+    """Return the tip's position (m) and velocity (m/s) in the target's frame.
+
+    ``y`` has coordinates and rates, (16,); ``a`` is the hinge's offset, m; sS to cT are the sines
+    and cosines of theta_S, theta_P and theta_T.
+    """
+    h, swing, spin = y[4], a * y[10], y[4] * y[11]
+    rx = y[0] + a * cS + h * cP - y[5]
+    ry = y[1] + a * sS + h * sP - y[6]
+    ux = y[8] - swing * sS + y[12] * cP - spin * sP - y[13]
+    uy = y[9] + swing * cS + y[12] * sP + spin * cP - y[14]
+    px = cT * rx + sT * ry
+    py = cT * ry - sT * rx
+    wx = cT * ux + sT * uy + y[15] * py
+    wy = cT * uy - sT * ux - y[15] * px
+    return px, py, wx, wy
 
 
 @inline_kernel

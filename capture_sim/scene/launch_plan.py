@@ -19,10 +19,9 @@ import math
 from typing import NamedTuple
 
 from capture_sim.base.compiled.kernels import plain
-from capture_sim.dynamics.model.equations import tip_motion
 from capture_sim.errors import SceneError
 from capture_sim.scene.cache import depends_on
-from capture_sim.scene.geometry import travel_to_wall
+from capture_sim.scene.geometry import tip_motion, travel_to_wall
 from capture_sim.scene.parts import Scene
 
 

@@ -13,10 +13,9 @@ import numpy as np
 
 from capture_sim.base.compiled.kernels import plain
 from capture_sim.base.resources import config_dir
-from capture_sim.dynamics.model.contact import NEED_POSITIVE_RESTITUTION
-from capture_sim.dynamics.model.parameters import LOADS, loads
 from capture_sim.errors import SceneError
 from capture_sim.scene.approach import approached
+from capture_sim.scene.ball_loads import LOADS, loads
 from capture_sim.scene.cache import depends_on
 from capture_sim.scene.files import (
     Overrides,
@@ -35,7 +34,7 @@ from capture_sim.scene.launch_plan import (
     tip_at_release,
     travel_to_touch,
 )
-from capture_sim.scene.parts import Scene, as_mapping, as_name
+from capture_sim.scene.parts import NEED_POSITIVE_RESTITUTION, Scene, as_mapping, as_name
 from capture_sim.scene.quantities import refuse, shown
 
 #: Between a scene's title and the list of its changes.

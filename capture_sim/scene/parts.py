@@ -43,6 +43,8 @@ CONTACT_LAWS = (
     "carvalho_martins",
     "exact",
 )
+#: Laws whose hysteresis factor grows without bound as the restitution goes to 0.
+NEED_POSITIVE_RESTITUTION = ("gonthier", "flores", "hu_guo", "exact")
 FRICTION_LAWS = ("tanh", "clamp", "brown_mcphee", "coulomb", "none")
 #: Range of the detector's lengths, m; a length above one metre indicates a wrong unit.
 DETECTOR_LENGTH = Range(0.0, 1.0, low_open=True)

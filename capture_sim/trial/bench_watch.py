@@ -21,7 +21,6 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.base.compiled.kernels import plain
-from capture_sim.dynamics.model.equations import tip_motion
 from capture_sim.launcher.state_machine import (
     Launcher,
     LauncherStatus,
@@ -29,7 +28,7 @@ from capture_sim.launcher.state_machine import (
     expected_time,
 )
 from capture_sim.run.touches import unseen_impact
-from capture_sim.scene.geometry import nearest_on_wall
+from capture_sim.scene.geometry import nearest_on_wall, tip_motion
 from capture_sim.scene.launch_plan import travel_to_touch
 from capture_sim.scene.parts import PlanarState, Scene
 

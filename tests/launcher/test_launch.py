@@ -8,13 +8,14 @@ from maximal_model import limit_used
 
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.base.compiled.kernels import plain
-from capture_sim.dynamics.model.supports import ball_loads, load_factor, rolling_wrench
+from capture_sim.dynamics.model.supports import load_factor, rolling_wrench
 from capture_sim.launcher.state_machine import (
     Launcher,
     LauncherPhase,
     LaunchObservation,
     expected_speed,
 )
+from capture_sim.scene.ball_loads import ball_loads
 from capture_sim.scene.launch_plan import plan_launch
 
 

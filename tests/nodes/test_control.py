@@ -5,7 +5,8 @@ import time
 
 import pytest
 
-from capture_sim.nodes.simulation.control import Code, CutKind, RunCut, SimulationControl, State
+from capture_sim.nodes.protocol.ends import CutKind
+from capture_sim.nodes.simulation.control import Code, RunCut, SimulationControl, State
 from capture_sim.nodes.simulation.pacing import MAX_RECOVERED_DELAY, Pacer
 
 

@@ -105,10 +105,6 @@ FRICTION_LAWS = {
     "coulomb": COULOMB,
 }
 
-#: Laws whose factor grows without bound as e goes to 0.
-NEED_POSITIVE_RESTITUTION = ("gonthier", "flores", "hu_guo", "exact")
-
-
 #: Exponent of the penetration between a sphere and a plane (Hertz).
 HERTZ = 1.5
 

@@ -23,7 +23,7 @@ from capture_sim.dynamics.model.force_table import tabulated_spring
 from capture_sim.dynamics.model.parameters import PARAMETERS
 from capture_sim.dynamics.model.supports import rolling_wrench
 from capture_sim.dynamics.model.trig import sine_cosine
-from capture_sim.scene.geometry import nearest_on_wall, wall_curvature
+from capture_sim.scene.geometry import nearest_on_wall, tip_motion, wall_curvature
 
 N_STATE = 16
 N_TOTAL = 26
@@ -140,21 +140,6 @@ def tip_in_cone(y, par):
     sP, cP = sine_cosine(y[3])
     sT, cT = sine_cosine(y[7])
     return tip_motion(y, par.a, sS, cS, sP, cP, sT, cT)
-
-
-@inline_kernel
-def tip_motion(y, a, sS, cS, sP, cP, sT, cT):
-    """Return the result of :func:`tip_in_cone` from sines and cosines that are known."""
-    h, swing, spin = y[4], a * y[10], y[4] * y[11]
-    rx = y[0] + a * cS + h * cP - y[5]
-    ry = y[1] + a * sS + h * sP - y[6]
-    ux = y[8] - swing * sS + y[12] * cP - spin * sP - y[13]
-    uy = y[9] + swing * cS + y[12] * sP + spin * cP - y[14]
-    px = cT * rx + sT * ry
-    py = cT * ry - sT * rx
-    wx = cT * ux + sT * uy + y[15] * py
-    wy = cT * uy - sT * ux - y[15] * px
-    return px, py, wx, wy
 
 
 @inline_kernel

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from capture_sim.dynamics.model.contact import FRICTION_LAWS, HERTZ, HYSTERESIS_FACTOR
 from capture_sim.dynamics.model.force_table import FORCE_TABLE, force_table
-from capture_sim.dynamics.model.supports import ball_loads
+from capture_sim.scene.ball_loads import LOADS, loads
 from capture_sim.scene.cache import depends_on
 from capture_sim.scene.parts import Scene
 
@@ -93,48 +92,6 @@ PARAMETERS = np.dtype(
     ],
     align=True,
 )
-
-
-def chaser_com_offset(scene: Scene) -> float:
-    """Return the distance from the body's centre of mass forward to the whole chaser's, m."""
-    cylinder = scene.buffer.hinge_offset - scene.cylinder.length / 2.0
-    probe = scene.buffer.hinge_offset + scene.rest_length - scene.probe.com_offset
-    moment = scene.cylinder.mass * cylinder + scene.probe.mass * probe
-    return moment / scene.chaser_total_mass
-
-
-#: Fields that the loads of the balls depend on.
-LOADS = (
-    *("chaser.mass", "cylinder", "probe", "buffer.hinge_offset", "buffer.rest_length"),
-    *("target.mass", "gravity"),
-)
-
-
-def loads(scene: Scene, vehicle: str) -> np.ndarray:
-    """Return the loads (3,) of the balls under ``"chaser"`` or ``"target"``, N.
-
-    The buffer is at rest; the loads are not updated with its stroke, which changes them little.
-    """
-    assert scene.supports is not None
-    if vehicle == "chaser":
-        support, mass, com_offset = (
-            scene.supports.chaser,
-            scene.chaser_total_mass,
-            chaser_com_offset(scene),
-        )
-    else:
-        support, mass, com_offset = scene.supports.target, scene.target.mass, 0.0
-    return _cached_loads(support.balls, mass * scene.gravity, com_offset)
-
-
-@lru_cache(maxsize=8)
-def _cached_loads(
-    balls: tuple[tuple[float, float], ...], weight: float, com_offset: float
-) -> np.ndarray:
-    # needed twice per scene, and equal in most runs of a study
-    load = ball_loads(np.array(balls), weight, com_offset, 0.0)
-    load.flags.writeable = False
-    return load
 
 
 @depends_on("chaser", "cylinder", "probe", "target")

@@ -15,17 +15,6 @@ import numpy as np
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
 
 
-def ball_loads(balls: np.ndarray, weight: float, x_com: float, y_com: float) -> np.ndarray:
-    """Return the normal loads (3,) of the balls by static equilibrium, N; negative if it tips over.
-
-    ``balls`` (3, 2) and the centre of mass are in the vehicle's frame, m; ``weight`` in N.
-    numpy.linalg.LinAlgError if the balls are in one line.
-    """
-    matrix = np.vstack([np.ones(3), balls[:, 0], balls[:, 1]])
-    loads: np.ndarray = np.linalg.solve(matrix, weight * np.array([1.0, x_com, y_com]))
-    return loads
-
-
 @inline_kernel
 def rolling_wrench(
     vx: float, vy: float, omega: float, c: float, s: float, balls: np.ndarray, v_eps: float

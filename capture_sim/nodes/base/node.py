@@ -18,6 +18,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from capture_sim.base.exit_status import OK
 from capture_sim.base.interrupts import STOP
 from capture_sim.errors import CaptureSimError, MessageError, one_line
 from capture_sim.messages.convert import Messages
@@ -26,7 +27,6 @@ from capture_sim.messages.topics import Rate, Topic
 from capture_sim.nodes.base.endpoints import from_bytes, full_name, is_own, message_class, qos_of
 from capture_sim.nodes.base.parameters import ParameterNode
 from capture_sim.nodes.base.publishers import Outbox
-from capture_sim.nodes.start import OK
 
 try:
     # a fortieth of the plain executor's cost per message; not in every rclpy

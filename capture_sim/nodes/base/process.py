@@ -20,13 +20,13 @@ import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.signals import SignalHandlerOptions
 
+from capture_sim.base.exit_status import BAD_INPUT, FAILED, OK, REFUSAL
 from capture_sim.base.interrupts import STOP, end_within, leave_if_busy, watch_signals
 from capture_sim.base.resources import config_dir
 from capture_sim.errors import CaptureSimError, one_line
 from capture_sim.nodes.base import dds
 from capture_sim.nodes.base.endpoints import TRANSIT_TIME
 from capture_sim.nodes.base.node import BenchNode, named_end_error
-from capture_sim.nodes.start import FAILED, OK, REFUSAL, REFUSED
 
 #: DDS gets this long to shut down, s (wall).
 DDS_SHUTDOWN_TIMEOUT = 5
@@ -96,8 +96,8 @@ def _limit_shutdown() -> None:
 
 def _refuse(reason: str) -> int:
     print(REFUSAL + one_line(reason), file=sys.stderr, flush=True)
-    end_within(DDS_SHUTDOWN_TIMEOUT, REFUSED)
-    return REFUSED
+    end_within(DDS_SHUTDOWN_TIMEOUT, BAD_INPUT)
+    return BAD_INPUT
 
 
 def live(node: BenchNode) -> int:

@@ -12,10 +12,10 @@ import time
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property, partial
 from typing import Any, Protocol
 
+from capture_sim.base.exit_status import FAILED
 from capture_sim.errors import CaptureSimError, MessageError, one_line
 from capture_sim.messages.convert import LONGEST_NAME, RunDescription
 from capture_sim.messages.topics import (
@@ -27,9 +27,8 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.nodes.base.endpoints import TRANSIT_TIME
 from capture_sim.nodes.base.node import POLL, BenchNode
+from capture_sim.nodes.protocol.ends import INTERRUPTED, CutKind, EndKind, RunEnd
 from capture_sim.nodes.protocol.roll import DONE, READY, Roll, RunReport, has_streams, run_key
-from capture_sim.nodes.simulation.control import CutKind
-from capture_sim.nodes.start import FAILED
 from capture_sim.recording.completeness import Completeness, counts_of
 from capture_sim.scene.loading import load_scene_text
 from capture_sim.scene.parts import Scene
@@ -42,31 +41,6 @@ DRAIN_TIMEOUT = 5.0
 #: Ctrl-C mostly ends all nodes at once: the end of the run is waited for this long, and of a trial
 #: its recording and the client that asks for its result, s (wall).
 RUN_END_TIMEOUT = 3.0
-#: Why a run ends that Ctrl-C ended.
-INTERRUPTED = "interrupted"
-
-
-class EndKind(Enum):
-    """How a run has ended for a participant."""
-
-    COMPLETE = "complete"
-    REQUESTED = "requested"  # reset, stopped, quitting, Ctrl-C
-    CUT = "cut"  # the announcer has failed
-    MISSING = "missing"  # messages that were sent have not come
-    ABANDONED = "abandoned"  # the announcer has not ended it
-
-
-@dataclass(frozen=True)
-class RunEnd:
-    """The end of a run, as a participant sees it; ``reason`` is empty if it is complete."""
-
-    kind: EndKind
-    reason: str = ""
-
-    @property
-    def report(self) -> RunReport:
-        """What a node reports that lacks no more than the end says."""
-        return RunReport((self.reason,) if self.reason else ())
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from enum import Enum, IntEnum
+from enum import IntEnum
 from typing import NamedTuple
 
+from capture_sim.nodes.protocol.ends import CutKind
 from capture_sim.nodes.simulation.pacing import Pacer
 
 #: Callbacks get their turn this often while time goes on.  Waits below this are slept through: the
@@ -55,20 +56,6 @@ class Reply(NamedTuple):
 
     code: Code
     message: str = ""
-
-
-class CutKind(Enum):
-    """Why a run ends before its time."""
-
-    RESET = "reset"  # the same run begins again
-    STOPPED = "stopped"
-    QUITTING = "quitting"
-    ABORTED = "aborted"  # something has gone wrong
-
-    @property
-    def is_requested(self) -> bool:
-        """Whether a user has asked for it."""
-        return self is not CutKind.ABORTED
 
 
 class RunCut(Exception):  # noqa: N818  # not an error: the run is to end before its time

@@ -26,7 +26,8 @@ from capture_sim.messages.topics import (
     topics_of,
 )
 from capture_sim.nodes.base.node import BenchNode
-from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunEnd, RunPart
+from capture_sim.nodes.protocol.ends import RunEnd
+from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
 from capture_sim.nodes.protocol.roll import RunReport
 
 #: What is read of a simulator at each instant: the numbers of each message besides its stamp.

@@ -10,10 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.scene.quantities import Range
-
-#: Allowed simulated (or recorded) seconds per second; 0 does not wait at all.
-FACTORS = Range(0.0, 1000.0)
 #: Delays beyond this are skipped instead of recovered, s (wall).
 MAX_RECOVERED_DELAY = 1.0
 #: Ticks whose lateness is kept at most.

@@ -23,12 +23,12 @@ from capture_sim.messages.topics import (
     RunSource,
     topics_of,
 )
-from capture_sim.nodes.base.diagnostics import SimulatorDiagnostics
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.protocol.announcer import Announcer
-from capture_sim.nodes.protocol.follower import INTERRUPTED
+from capture_sim.nodes.protocol.ends import INTERRUPTED, CutKind
 from capture_sim.nodes.protocol.roll import Part, Roll, number_of
-from capture_sim.nodes.simulation.control import CutKind, RunCut, SimulationControl
+from capture_sim.nodes.simulation.control import RunCut, SimulationControl
+from capture_sim.nodes.simulation.diagnostics import SimulatorDiagnostics
 from capture_sim.nodes.simulation.robot_model import RobotModel
 from capture_sim.nodes.simulation.stepping import Stepping
 from capture_sim.run.results import extremes_to_text

@@ -12,10 +12,11 @@ from four_bodies import momentum
 from random_accuracy import first_touch
 from random_scenes import wide_scenes
 
-from capture_sim import SimulationError, load_scene, simulate
+from capture_sim import load_scene, simulate
 from capture_sim.hardware.law import Wrench
 from capture_sim.hardware.stage import LoopStage
 from capture_sim.run.run import Run
+from capture_sim.run.simulation import RunError
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import changed
 
@@ -149,9 +150,7 @@ def run(scene: Scene, **options: Any) -> Run:
     """Simulate; a run that had to stop gives what it has until there, with ``failure`` set."""
     try:
         return simulate(scene, **options)
-    except SimulationError as error:
-        if error.result is None:
-            raise
+    except RunError as error:
         return error.result
 
 
