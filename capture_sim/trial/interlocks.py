@@ -9,8 +9,8 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
 
+from capture_sim.detection.measurements import Source
 from capture_sim.scene.quantities import Range, quantity
 from capture_sim.trial.hold import HoldReaders
 
@@ -18,14 +18,6 @@ from capture_sim.trial.hold import HoldReaders
 MAX_STEP_BACK = 0.5
 #: So many of these within so many s are the stamps of two publishers.
 MIN_STEPS_BACK, STEP_WINDOW = 3, 1.0
-
-
-class Sensor(Enum):
-    """What a trial relies on."""
-
-    CHASER = "chaser"
-    TARGET = "target"
-    BUFFER = "buffer"
 
 
 @dataclass(frozen=True)
@@ -124,21 +116,21 @@ class SourceMonitor:
 class Interlocks:
     """Sees each measurement; returns why nothing may be let go, or why the approach must end.
 
-    ``topics``: by sensor, the names of the topics that it may publish.  :meth:`choose` decides
+    ``topics``: by source, the names of the topics that it may publish.  :meth:`choose` decides
     which of them a trial uses; the others then do not count.  ``readers``: those of launcher/hold.
     """
 
     def __init__(
         self,
         limits: TrialLimits,
-        topics: Mapping[Sensor, Sequence[str]],
+        topics: Mapping[Source, Sequence[str]],
         readers: HoldReaders | None = None,
     ) -> None:
         self.limits = limits
         self.readers = readers or HoldReaders()
         self.monitors = {name: SourceMonitor() for names in topics.values() for name in names}
-        self._topics = {sensor: tuple(names) for sensor, names in topics.items()}
-        self._chosen: dict[Sensor, str] = {}
+        self._topics = {source: tuple(names) for source, names in topics.items()}
+        self._chosen: dict[Source, str] = {}
         self._publishers: dict[str, tuple[str, ...]] | None = None  # nodes, by topic
         self._mismatches: dict[str, str] = {}
 
@@ -157,18 +149,18 @@ class Interlocks:
         """Choose the topics again at the start of a trial."""
         self._chosen.clear()
 
-    def choose(self, sensor: Sensor, topic: str) -> bool:
-        """Return True if the trial uses this topic of a sensor: the first that is asked for."""
-        return self._chosen.setdefault(sensor, topic) == topic
+    def choose(self, source: Source, topic: str) -> bool:
+        """Return True if the trial uses this topic of a source: the first that is asked for."""
+        return self._chosen.setdefault(source, topic) == topic
 
     def refusal(self, now: float) -> str:
         """Return why the chaser must not be let go; empty if it is seen and its driver is there."""
         stale = [
-            self._stale_text(sensor, now, limit)
-            for sensor, limit in self._limited()
-            if not self._age(sensor, now) <= limit
+            self._stale_text(source, now, limit)
+            for source, limit in self._limited()
+            if not self._age(source, now) <= limit
         ]
-        conflicts = [text for sensor, _ in self._limited() if (text := self._conflict(sensor))]
+        conflicts = [text for source, _ in self._limited() if (text := self._conflict(source))]
         return "; ".join(filter(None, [*stale, *conflicts, self.readers.refusal(now)]))
 
     def blindness(self, now: float, *, has_moved: bool) -> tuple[str, float]:
@@ -177,59 +169,59 @@ class Interlocks:
         The time is in s.  ``has_moved``: the chaser is under way, so that a pose that repeats
         exactly is one of a driver that has lost its view.
         """
-        limit, age = self.limits.max_pose_age, self._age(Sensor.CHASER, now)
+        limit, age = self.limits.max_pose_age, self._age(Source.CHASER, now)
         if not age <= limit:
-            return self._stale_text(Sensor.CHASER, now, limit), age
-        topic = self._best(Sensor.CHASER)
+            return self._stale_text(Source.CHASER, now, limit), age
+        topic = self._best(Source.CHASER)
         unchanged = self.monitors[topic].unchanged(now)
         if has_moved and unchanged > limit:
             text = f"{topic}: the same pose for {unchanged:.3g} s: must be at most {limit:g}"
             return text, unchanged
-        if not self._age(Sensor.TARGET, now) <= limit:
-            return self._stale_text(Sensor.TARGET, now, limit), 0.0
+        if not self._age(Source.TARGET, now) <= limit:
+            return self._stale_text(Source.TARGET, now, limit), 0.0
         mixed = [
             f"{name}: stamps of two clocks: two nodes publish it"
-            for name in (topic, self._best(Sensor.TARGET))
+            for name in (topic, self._best(Source.TARGET))
             if self.monitors[name].has_two_clocks(now)
         ]
         return "; ".join(mixed) or self.readers.absence(), 0.0
 
-    def _limited(self) -> list[tuple[Sensor, float]]:
+    def _limited(self) -> list[tuple[Source, float]]:
         limits = self.limits
         needed = {
-            Sensor.CHASER: limits.max_pose_age,
-            Sensor.TARGET: limits.max_pose_age,
-            Sensor.BUFFER: limits.max_buffer_age,
+            Source.CHASER: limits.max_pose_age,
+            Source.TARGET: limits.max_pose_age,
+            Source.BUFFER: limits.max_buffer_age,
         }
-        return [(sensor, limit) for sensor, limit in needed.items() if limit > 0.0]
+        return [(source, limit) for source, limit in needed.items() if limit > 0.0]
 
-    def _best(self, sensor: Sensor) -> str:
-        """Return the topic of a sensor that is used, or the one with the latest measurement."""
-        names = self._topics[sensor]
-        return self._chosen.get(sensor) or min(names, key=lambda name: self.monitors[name].age(0.0))
+    def _best(self, source: Source) -> str:
+        """Return the topic of a source that is used, or the one with the latest measurement."""
+        names = self._topics[source]
+        return self._chosen.get(source) or min(names, key=lambda name: self.monitors[name].age(0.0))
 
-    def _age(self, sensor: Sensor, now: float) -> float:
-        return self.monitors[self._best(sensor)].age(now)
+    def _age(self, source: Source, now: float) -> float:
+        return self.monitors[self._best(source)].age(now)
 
-    def _conflict(self, sensor: Sensor) -> str:
+    def _conflict(self, source: Source) -> str:
         """Return the complaint that several nodes publish one sensor's topics; empty if one does.
 
         One of them is a simulator or a player that somebody has started: which one is used would
         be chance.
         """
-        publishers, topics = self._publishers or {}, self._topics[sensor]
+        publishers, topics = self._publishers or {}, self._topics[source]
         nodes = sorted({node for topic in topics for node in publishers.get(topic, ())})
         if len(nodes) <= 1:
             return ""
         names = " and ".join(topic for topic in topics if publishers.get(topic))
         return (
-            f"{names}: published by {' and '.join(nodes)}: must be one node for the {sensor.value}"
+            f"{names}: published by {' and '.join(nodes)}: must be one node for the {source.value}"
         )
 
-    def _stale_text(self, sensor: Sensor, now: float, limit: float) -> str:
+    def _stale_text(self, source: Source, now: float, limit: float) -> str:
         """Name the topic, its age, and the fault of its publishers."""
-        topics = self._topics[sensor]
-        best = self._best(sensor)
+        topics = self._topics[source]
+        best = self._best(source)
         age = self.monitors[best].age(now)
         if math.isfinite(age):
             topics = (best,)

@@ -11,13 +11,14 @@ import math
 from dataclasses import dataclass, field
 from enum import Enum
 
+from capture_sim.detection.measurements import Source
 from capture_sim.dynamics.samples import Named
 from capture_sim.errors import CaptureSimError
 from capture_sim.launcher.state_machine import Launcher, LauncherPhase, LauncherStatus
 from capture_sim.scene.parts import Scene
 from capture_sim.trial.bench_watch import BenchWatch, Pose
 from capture_sim.trial.hold import HOLD_TIMEOUT
-from capture_sim.trial.interlocks import Interlocks, Sensor
+from capture_sim.trial.interlocks import Interlocks
 
 #: Verdicts that may be expected, as the detector names them.
 VERDICTS = ("captured", "rebound", "missed", "stuck", "undecided")
@@ -202,14 +203,14 @@ class Trial:
 
     # what is measured
 
-    def add_pose(self, sensor: Sensor, topic: str, stamp: int, pose: Pose, now: float) -> None:
+    def add_pose(self, source: Source, topic: str, stamp: int, pose: Pose, now: float) -> None:
         """Add a pose of a vehicle: x, y (m), heading (rad); the stamp in ns by the bench's clock.
 
         Of each vehicle the first topic that comes in a trial is used.
         """
-        if not self._interlocks.choose(sensor, topic):
+        if not self._interlocks.choose(source, topic):
             return
-        if sensor is Sensor.TARGET:
+        if source is Source.TARGET:
             self._watch.add_target(pose)
             return
         seconds = stamp * 1e-9
@@ -225,7 +226,7 @@ class Trial:
 
     def add_buffer(self, topic: str, stroke: float, torsion: float) -> None:
         """Add a stroke, m, and a torsion, rad, of the buffer."""
-        if not self._interlocks.choose(Sensor.BUFFER, topic):
+        if not self._interlocks.choose(Source.BUFFER, topic):
             return
         self._watch.add_buffer(stroke, torsion)
         if self._is_launched and math.isfinite(stroke) and math.isfinite(torsion):

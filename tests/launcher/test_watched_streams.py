@@ -11,9 +11,9 @@ import pytest
 from disturbed_streams import BUSY, HARD, SENSORS, stream
 
 from capture_sim import load_scene
+from capture_sim.detection.measurements import Source
 from capture_sim.launcher.state_machine import Launcher, LauncherPhase
 from capture_sim.trial.bench_watch import BenchWatch
-from capture_sim.trial.interlocks import Sensor
 
 SCENE = load_scene("tilt_0")
 #: By name: a disturbance of the sensors, or of the node that watches.
@@ -44,7 +44,7 @@ def watched(seed, outcome, *failure, backlog=0.0, clump=0.0, **disturbance):
     for arrival, stamp, measured in stream(
         np.random.default_rng(seed), outcome, *failure, **disturbance
     ):
-        if Sensor.CHASER not in measured:
+        if Source.CHASER not in measured:
             continue
         evaluated = math.ceil(arrival / clump) * clump if clump else arrival
         if arrival > -backlog:
@@ -52,8 +52,8 @@ def watched(seed, outcome, *failure, backlog=0.0, clump=0.0, **disturbance):
             if launcher.status.state is LauncherPhase.ARMED:
                 launcher.release()
                 watch.release(0.0)
-        watch.add_target(measured[Sensor.TARGET])
-        watch.add_chaser(1.2e9 + stamp, measured[Sensor.CHASER], evaluated)
+        watch.add_target(measured[Source.TARGET])
+        watch.add_chaser(1.2e9 + stamp, measured[Source.CHASER], evaluated)
         if launcher.status.state in (LauncherPhase.DELIVERED, LauncherPhase.ABORTED):
             break
     return launcher

@@ -15,19 +15,18 @@ from capture_sim import load_scene
 from capture_sim.detection.detector import CaptureDetector
 from capture_sim.detection.measurements import Source
 from capture_sim.launcher.state_machine import Launcher
-from capture_sim.trial.interlocks import Interlocks, Sensor, TrialLimits
+from capture_sim.trial.interlocks import Interlocks, TrialLimits
 from capture_sim.trial.trial import Trial, TrialGoal, TrialPhase
 
 SCENE = load_scene("tilt_0")
 SEEDS = range(int(os.environ.get("CAPTURE_SIM_EXAMPLES", "2")))
-SOURCES = {sensor: Source[sensor.name] for sensor in Sensor}
-TOPICS = {sensor: (sensor.value,) for sensor in Sensor}
+TOPICS = {source: (source.value,) for source in Source}
 
 
 def tried(seed, outcome, *how, end=None, offset=0.0, **disturbance):
     """Return the trial and the detector's last status after 12 s.
 
-    ``end``: sensor and time, s, when it falls silent; ``offset``: of the buffer's clock, s.
+    ``end``: source and time, s, when it falls silent; ``offset``: of the buffer's clock, s.
     """
     interlocks = Interlocks(TrialLimits(time_limit=10.0), TOPICS)
     interlocks.readers.note(["/driver"], {}, -math.inf)
@@ -42,18 +41,16 @@ def tried(seed, outcome, *how, end=None, offset=0.0, **disturbance):
         now = max(now, arrival)
         if trial.failure:
             break
-        for sensor, values in measured.items():
-            if end is not None and sensor is end[0] and stamp > end[1]:
+        for source, values in measured.items():
+            if end is not None and source is end[0] and stamp > end[1]:
                 continue
-            own = stamp + 1.2e9 + offset * (sensor is Sensor.BUFFER)
-            interlocks.add(sensor.value, round(own * 1e9), values, now)
-            if sensor is Sensor.BUFFER:
-                trial.add_buffer(sensor.value, *values)
+            own = stamp + 1.2e9 + offset * (source is Source.BUFFER)
+            interlocks.add(source.value, round(own * 1e9), values, now)
+            if source is Source.BUFFER:
+                trial.add_buffer(source.value, *values)
             else:
-                trial.add_pose(sensor, sensor.value, round(own * 1e9), values, now)
-            for status in detector.measure(
-                SOURCES[sensor], round(own * 1e9), values, round(now * 1e9)
-            ):
+                trial.add_pose(source, source.value, round(own * 1e9), values, now)
+            for status in detector.measure(source, round(own * 1e9), values, round(now * 1e9)):
                 trial.add_verdict(status.state.label, status.reason, is_final=status.final)
         # the other nodes join as the stream's release is due
         trial.set_others(ready=now >= 0.0, done=False, pending="")
@@ -66,7 +63,7 @@ def tried(seed, outcome, *how, end=None, offset=0.0, **disturbance):
 def longest_silence(seed, outcome, **disturbance):
     """Return the longest time without a new pose before the contact, s."""
     messages = stream(np.random.default_rng(seed), outcome, before=1.0, **disturbance)
-    poses = [(t, m[Sensor.CHASER]) for t, _, m in messages if Sensor.CHASER in m]
+    poses = [(t, m[Source.CHASER]) for t, _, m in messages if Source.CHASER in m]
     new = [t for t, pose in poses if math.isfinite(pose[0]) and 0.0 < t < CONTACT + 0.5]
     return max(later - earlier for earlier, later in itertools.pairwise(new))
 
@@ -98,16 +95,16 @@ def test_a_launch_that_fails_is_held(name, how):
         assert held_at < 5.0
 
 
-@pytest.mark.parametrize("sensor", [Sensor.CHASER, Sensor.TARGET])
+@pytest.mark.parametrize("source", [Source.CHASER, Source.TARGET])
 @pytest.mark.parametrize("when", [0.5, 1.0, 2.0])
-def test_cameras_that_die_under_way_hold_the_chaser(sensor, when):
-    trial, _, held_at = tried(0, "captured", end=(sensor, when), **SENSORS["standard"])
-    assert f"{sensor.value}: last measurement 0.3" in trial.failure
+def test_cameras_that_die_under_way_hold_the_chaser(source, when):
+    trial, _, held_at = tried(0, "captured", end=(source, when), **SENSORS["standard"])
+    assert f"{source.value}: last measurement 0.3" in trial.failure
     assert when + 0.3 < held_at < when + 0.4
 
 
 def test_encoders_that_die_under_way_leave_no_verdict():
-    trial, last, _ = tried(0, "captured", end=(Sensor.BUFFER, 1.0))
+    trial, last, _ = tried(0, "captured", end=(Source.BUFFER, 1.0))
     assert trial.failure == ""
     assert last.state.label == "undecided"
 

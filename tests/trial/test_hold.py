@@ -6,15 +6,16 @@ import random
 import pytest
 
 from capture_sim import load_scene
+from capture_sim.detection.measurements import Source
 from capture_sim.launcher.state_machine import Launcher
 from capture_sim.trial.hold import HOLD_PERIOD, HOLD_TIMEOUT, HoldOutput, HoldReaders
-from capture_sim.trial.interlocks import Interlocks, Sensor, TrialLimits
+from capture_sim.trial.interlocks import Interlocks, TrialLimits
 from capture_sim.trial.trial import Trial, TrialGoal, TrialPhase, TrialStep
 
 SCENE = load_scene("tilt_0")
 MAX_SILENCE = TrialLimits.max_hold_silence  # s
 TARGET = (0.66, 0.0, 0.0)  # m, m, rad
-TOPICS = {Sensor.CHASER: ["chaser"], Sensor.TARGET: ["target"], Sensor.BUFFER: ["buffer"]}
+TOPICS = {Source.CHASER: ["chaser"], Source.TARGET: ["target"], Source.BUFFER: ["buffer"]}
 
 
 class Driver:
@@ -61,8 +62,8 @@ class Bench:
 
     def serve(self):
         """Do what a callback of the launcher does."""
-        for sensor, (topic,) in TOPICS.items():
-            pose = TARGET if sensor is Sensor.TARGET else (0.0, 0.005, 0.0)
+        for source, (topic,) in TOPICS.items():
+            pose = TARGET if source is Source.TARGET else (0.0, 0.005, 0.0)
             self.interlocks.add(topic, int(self.now * 1e9), pose, self.now)
         self.trial.note_silence(self.output.silence(self.now), self.now)
         self.steps += self.trial.advance(self.now)

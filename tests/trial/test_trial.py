@@ -6,17 +6,18 @@ import random
 import pytest
 
 from capture_sim import load_scene
+from capture_sim.detection.measurements import Source
 from capture_sim.errors import CaptureSimError
 from capture_sim.launcher.state_machine import Launcher, LauncherPhase
-from capture_sim.trial.interlocks import Interlocks, Sensor, SourceMonitor, TrialLimits
+from capture_sim.trial.interlocks import Interlocks, SourceMonitor, TrialLimits
 from capture_sim.trial.trial import CANCELLED, Trial, TrialGoal, TrialPhase, TrialStep
 
 SCENE = load_scene("tilt_0")
 TARGET, STOP, SPEED, DROP = 0.66, 0.2125, 0.105, 0.1  # m and m/s: as of the example's bench
 TOPICS = {
-    Sensor.CHASER: ("motion_capture/chaser", "chaser/odom"),
-    Sensor.TARGET: ("motion_capture/target", "target/odom"),
-    Sensor.BUFFER: ("joint_states", "bench/buffer"),
+    Source.CHASER: ("motion_capture/chaser", "chaser/odom"),
+    Source.TARGET: ("motion_capture/target", "target/odom"),
+    Source.BUFFER: ("joint_states", "bench/buffer"),
 }
 TICK = 0.01  # s
 NEVER = (math.inf, math.inf)
@@ -47,7 +48,7 @@ class Rig:
         )
         self.now, self.steps, self.held = 0.0, [], []
         self.travel, self.others = travel, others
-        self.silent = {}  # sensor: (begin, end), s of the rig's clock
+        self.silent = {}  # source: (begin, end), s of the rig's clock
         self.offset, self.frozen, self.lost_as = 0.0, NEVER, "silence"
 
     def run(self, duration, rate=100.0):
@@ -68,23 +69,23 @@ class Rig:
         at = self.now if not self.frozen[0] <= self.now < self.frozen[1] else self.frozen[0]
         x = self.travel(at - released)
         values = {
-            Sensor.CHASER: (x, 0.005, 0.0),
-            Sensor.TARGET: (TARGET, 0.0, 0.0),
-            Sensor.BUFFER: (-0.003 * (x >= STOP), 0.0),
+            Source.CHASER: (x, 0.005, 0.0),
+            Source.TARGET: (TARGET, 0.0, 0.0),
+            Source.BUFFER: (-0.003 * (x >= STOP), 0.0),
         }
         stamp = round((self.now + self.offset + 1.2e9) * 1e9)
-        for sensor, measured in values.items():
-            begin, end = self.silent.get(sensor, NEVER)
+        for source, measured in values.items():
+            begin, end = self.silent.get(source, NEVER)
             if begin <= self.now < end:
                 if self.lost_as == "silence":
                     continue
                 measured = (math.nan,) * len(measured)
-            topic = TOPICS[sensor][0]
+            topic = TOPICS[source][0]
             self.interlocks.add(topic, stamp, measured, self.now)
-            if sensor is Sensor.BUFFER:
+            if source is Source.BUFFER:
                 self.trial.add_buffer(topic, *measured)
             else:
-                self.trial.add_pose(sensor, topic, stamp, measured, self.now)
+                self.trial.add_pose(source, topic, stamp, measured, self.now)
 
 
 def test_a_good_trial_goes_through_its_phases():
@@ -109,25 +110,25 @@ def test_a_good_trial_goes_through_its_phases():
     assert trial.gap <= 0.005
 
 
-@pytest.mark.parametrize("sensor", Sensor)
+@pytest.mark.parametrize("source", Source)
 @pytest.mark.parametrize("lost_as", ["silence", "NaN"])
 @pytest.mark.parametrize("from_the_start", [True, False])
-def test_nothing_is_released_blind(sensor, lost_as, from_the_start):
+def test_nothing_is_released_blind(source, lost_as, from_the_start):
     rig = Rig(others=False)
     rig.lost_as = lost_as
     if from_the_start:
-        rig.silent = {sensor: (0.0, math.inf)}
-        others = {t: ["/rig"] for s, names in TOPICS.items() if s is not sensor for t in names[:1]}
+        rig.silent = {source: (0.0, math.inf)}
+        others = {t: ["/rig"] for s, names in TOPICS.items() if s is not source for t in names[:1]}
         rig.interlocks.note_publishers(others, {})
     rig.run(0.5)
-    rig.silent = {sensor: (0.0, math.inf)}
+    rig.silent = {source: (0.0, math.inf)}
     rig.run(0.4)
     rig.others = True  # too late: the source has fallen silent while the other nodes joined
     trial = rig.run(rig.limits.start_timeout + 0.5)
     assert TrialStep.RELEASE not in rig.steps
     assert all(is_held for _, is_held in rig.held)
     assert trial.phase is TrialPhase.OVER
-    assert trial.failure.startswith(f"not released after 10 s: {TOPICS[sensor][0]}")
+    assert trial.failure.startswith(f"not released after 10 s: {TOPICS[source][0]}")
     if from_the_start:
         assert "no publisher" in trial.failure
     else:
@@ -137,7 +138,7 @@ def test_nothing_is_released_blind(sensor, lost_as, from_the_start):
 
 def test_a_trial_without_need_of_a_buffer_is_released():
     rig = Rig(limits=TrialLimits(max_buffer_age=0.0))
-    rig.silent = {Sensor.BUFFER: (0.0, math.inf)}
+    rig.silent = {Source.BUFFER: (0.0, math.inf)}
     assert rig.run(0.5).is_released
 
 
@@ -206,10 +207,10 @@ def test_a_simulator_that_starts_in_the_approach_touches_nothing():
     rig.interlocks.note_publishers(nodes, {})
     for k in range(100):
         rig.interlocks.add("chaser/odom", k, (0.3, 0.1, 0.01 * k), rig.now)
-        rig.trial.add_pose(Sensor.CHASER, "chaser/odom", k, (0.3, 0.1, 0.0), rig.now)
+        rig.trial.add_pose(Source.CHASER, "chaser/odom", k, (0.3, 0.1, 0.0), rig.now)
         trial = rig.run(0.01)
     assert (trial.phase, trial.failure) == (TrialPhase.APPROACH, "")
-    rig.silent = {Sensor.CHASER: (rig.now, math.inf)}
+    rig.silent = {Source.CHASER: (rig.now, math.inf)}
     for k in range(100, 150):
         rig.interlocks.add("chaser/odom", k, (0.3, 0.1, 0.01 * k), rig.now)
         trial = rig.run(0.01)
@@ -227,24 +228,24 @@ def test_a_verdict_of_another_run_is_ignored():
 
 
 @pytest.mark.parametrize("silence", [0.29, 0.31])
-@pytest.mark.parametrize("sensor", [Sensor.CHASER, Sensor.TARGET])
+@pytest.mark.parametrize("source", [Source.CHASER, Source.TARGET])
 @pytest.mark.parametrize("lost_as", ["silence", "NaN"])
-def test_a_blind_approach_is_aborted_at_its_limit(silence, sensor, lost_as):
+def test_a_blind_approach_is_aborted_at_its_limit(silence, source, lost_as):
     rig = Rig()
     rig.run(1.5)
     rig.lost_as = lost_as
-    rig.silent = {sensor: (rig.now + 1e-6, rig.now + silence)}
+    rig.silent = {source: (rig.now + 1e-6, rig.now + silence)}
     trial = rig.run(0.5, rate=1000.0)
     if silence < rig.limits.max_pose_age:
         assert (trial.phase, trial.failure) == (TrialPhase.APPROACH, "")
         return
     assert trial.was_aborted
     assert trial.holds
-    assert trial.failure.startswith(TOPICS[sensor][0])
+    assert trial.failure.startswith(TOPICS[source][0])
     assert rig.steps[2:] == [TrialStep.ABORT, TrialStep.CLOSE]
     assert trial.launcher.status.state is LauncherPhase.ABORTED
     first_held = next(t for t, is_held in rig.held if is_held and t > trial.released)
-    assert first_held == pytest.approx(rig.silent[sensor][0] + 0.3, abs=0.003)
+    assert first_held == pytest.approx(rig.silent[source][0] + 0.3, abs=0.003)
 
 
 def test_a_pose_that_repeats_under_way_is_no_pose():
@@ -277,7 +278,7 @@ def test_a_vehicle_that_may_touch_is_never_aborted(begin, lost_as):
         if lost_as == "frozen":
             rig.frozen = window
         else:
-            rig.silent = {Sensor.CHASER: window, Sensor.TARGET: window}
+            rig.silent = {Source.CHASER: window, Source.TARGET: window}
         trial = rig.run(10.0)
         assert (trial.failure, trial.holds) == ("", False), (begin, length)
         trial.add_verdict("captured", "", is_final=True)
@@ -297,11 +298,11 @@ def test_poses_that_begin_late_abort_no_launch_to_the_cone(late, rebound):
     rig.trial.set_others(ready=True, done=False, pending="")
     # released with fresh poses of a driver that dies at once, and the watch has seen none of them
     watch = rig.trial._watch
-    rig.trial.add_pose = lambda sensor, topic, stamp, pose, now: (
+    rig.trial.add_pose = lambda source, topic, stamp, pose, now: (
         None
         if now < rig.trial.released + late
         else watch.add_target(pose)
-        if sensor is Sensor.TARGET
+        if source is Source.TARGET
         else watch.add_chaser(stamp * 1e-9, pose, now)
     )
     watch.__init__(rig.trial.launcher, SCENE)
@@ -325,7 +326,7 @@ def test_a_chaser_that_never_moves_is_aborted_for_its_time():
 
 def test_by_hand_nothing_is_refused_and_nothing_aborted():
     rig = Rig(has_actuator=False)
-    rig.silent = dict.fromkeys(Sensor, (0.0, 3.0))
+    rig.silent = dict.fromkeys(Source, (0.0, 3.0))
     trial = rig.run(10.0)
     assert rig.steps == [TrialStep.ANNOUNCE]
     assert all(is_held for _, is_held in rig.held)  # it has nothing to let go
@@ -407,7 +408,7 @@ def test_any_order_of_what_comes_holds_before_the_release_and_after_the_end():
         rig = Rig(others=rng.random() < 0.8)
         for _ in range(12):
             begin = rig.now + rng.uniform(0.0, 2.0)
-            rig.silent = {rng.choice(list(Sensor)): (begin, begin + rng.uniform(0.0, 1.0))}
+            rig.silent = {rng.choice(list(Source)): (begin, begin + rng.uniform(0.0, 1.0))}
             if rng.random() < 0.05:
                 rig.trial.cancel()
             if rng.random() < 0.1:

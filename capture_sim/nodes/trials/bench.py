@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any
 
 from capture_sim.detection.criteria import CaptureState
+from capture_sim.detection.measurements import Source
 from capture_sim.messages.cdr import Numbers
 from capture_sim.messages.convert import stamp_in
 from capture_sim.messages.definitions import typestore
@@ -27,7 +28,7 @@ from capture_sim.nodes.base.endpoints import (
 )
 from capture_sim.nodes.base.node import LOOK_UP_PERIOD, BenchNode
 from capture_sim.trial.hold import HoldOutput, HoldReaders
-from capture_sim.trial.interlocks import Interlocks, Sensor, TrialLimits
+from capture_sim.trial.interlocks import Interlocks, TrialLimits
 from capture_sim.trial.trial import Trial, TrialStep
 
 #: Time limits are looked at this often, s (wall).
@@ -38,8 +39,6 @@ MAX_LATENESS = 0.1
 BOOL = "std_msgs/msg/Bool"
 #: Name of a node that DDS does not know, or not any more.
 UNKNOWN = "_NODE_NAME_UNKNOWN_"
-#: What measures, by sensor.
-MEASURES = {Sensor(source.value): topics for source, topics in TOPICS_OF_SOURCE.items()}
 
 
 class TrialBench:
@@ -65,7 +64,8 @@ class TrialBench:
         self._node, self._suite = node, suite
         self._trial: Trial | None = None
         topics = {
-            sensor: [topic.name for topic in measuring] for sensor, measuring in MEASURES.items()
+            source: [topic.name for topic in measuring]
+            for source, measuring in TOPICS_OF_SOURCE.items()
         }
         self.interlocks = Interlocks(limits, topics, HoldReaders(driver))
         self._last_tick = self._caught_up = time.monotonic()
@@ -79,9 +79,9 @@ class TrialBench:
         self._force = Numbers(
             typestore(), LOAD_CELL.type_name, *(f"wrench.force.{axis}" for axis in "xyz")
         )
-        for sensor, measuring in MEASURES.items():
+        for source, measuring in TOPICS_OF_SOURCE.items():
             for topic in measuring:
-                take = partial(self._receive, sensor, topic, MeasurementReader(topic))
+                take = partial(self._receive, source, topic, MeasurementReader(topic))
                 node.listen(topic, take, raw=True)
         node.listen(LOAD_CELL, self._receive_force, raw=True)
         node.listen(CAPTURE_VERDICT, self._receive_verdict)
@@ -111,13 +111,13 @@ class TrialBench:
     # callbacks
 
     def _receive(
-        self, sensor: Sensor, topic: Topic, reader: MeasurementReader, data: bytes
+        self, source: Source, topic: Topic, reader: MeasurementReader, data: bytes
     ) -> None:
         self._output_hold()
         stamp, values = reader(data)
         now = time.monotonic()
         # rates are not used: a driver without velocities may send NaN
-        if sensor is Sensor.BUFFER:
+        if source is Source.BUFFER:
             self.interlocks.add(topic.name, stamp, values[:2], now)
             if self._trial is not None:
                 self._trial.add_buffer(topic.name, values[0], values[1])
@@ -126,8 +126,8 @@ class TrialBench:
         self.interlocks.add(topic.name, stamp, pose, now)
         if self._trial is None:
             return
-        self._trial.add_pose(sensor, topic.name, stamp, pose, now)
-        if sensor is Sensor.CHASER:
+        self._trial.add_pose(source, topic.name, stamp, pose, now)
+        if source is Source.CHASER:
             self.stamp = stamp
             self._decide(now)
 
@@ -157,7 +157,7 @@ class TrialBench:
     def _look_up_others(self) -> None:
         """Note who publishes the measurements, and who reads launcher/hold."""
         nodes, mismatches = {}, {}
-        for topic in (topic for measuring in MEASURES.values() for topic in measuring):
+        for topic in (topic for measuring in TOPICS_OF_SOURCE.values() for topic in measuring):
             name = self._node.resolve_topic_name(topic.name)
             ends = self._node.get_publishers_info_by_topic(name)
             nodes[topic.name] = sorted(_names(ends))
