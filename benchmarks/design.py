@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.pages import DOCS, table, write_parts
 from capture_sim import load_scene, simulate
-from capture_sim.run.results import first_cluster
+from capture_sim.run.first_contact import first_cluster
 from capture_sim.scene.approach import Approach, placed
 from capture_sim.scene.launch_plan import travel_to_touch
 from capture_sim.scene.parts import Scene

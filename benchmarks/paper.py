@@ -20,7 +20,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from capture_sim.base.resources import config_dir
-from capture_sim.run.results import first_cluster
+from capture_sim.run.first_contact import first_cluster
 from capture_sim.run.run import Run
 from capture_sim.run.simulation import simulate
 from capture_sim.scene.approach import Approach, placed

@@ -24,7 +24,7 @@ from benchmarks.page import FOLDER, TRIALS, Results, measured, write_trials
 from benchmarks.pages import DOCS, filled
 from benchmarks.plots import save_all
 from benchmarks.trial import Progress
-from capture_sim.dynamics.bench import compile_kernels
+from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.scene.loading import load_scene
 
 SCENE = "paper_designed"

@@ -27,7 +27,7 @@ from capture_sim.base.version import __version__ as __version__
 if TYPE_CHECKING:
     from capture_sim.detection.criteria import CaptureState as CaptureState
     from capture_sim.dynamics.bench import Bench as Bench
-    from capture_sim.dynamics.bench import drive as drive
+    from capture_sim.dynamics.drive import drive as drive
     from capture_sim.dynamics.samples import EventKind as EventKind
     from capture_sim.dynamics.samples import Phase as Phase
     from capture_sim.errors import CaptureSimError as CaptureSimError
@@ -49,7 +49,8 @@ __path__ = extend_path(__path__, __name__)
 
 # loaded at first use: code that needs no kernels does not import the compiler
 _MODULES = {
-    "dynamics.bench": ("Bench", "drive"),
+    "dynamics.bench": ("Bench",),
+    "dynamics.drive": ("drive",),
     "detection.criteria": ("CaptureState",),
     "errors": (
         "CaptureSimError",

@@ -20,7 +20,7 @@ from matplotlib.patches import Arc
 from PIL import Image
 
 from capture_sim.base.files import whole_file
-from capture_sim.run.results import first_touch
+from capture_sim.run.first_contact import first_touch
 from capture_sim.run.run import Run
 from capture_sim.run.simulation import simulate
 from capture_sim.scene.loading import load_scene

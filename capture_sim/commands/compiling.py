@@ -8,7 +8,7 @@ from functools import partial
 from capture_sim.base.compiled.kernels import is_compiled
 from capture_sim.base.compiled.progress import watch_compilation
 from capture_sim.commands.output import Progress, echo
-from capture_sim.dynamics.bench import compile_kernels
+from capture_sim.dynamics.compilation import compile_kernels
 
 
 def compile_first() -> None:

@@ -38,7 +38,7 @@ from capture_sim.commands.output import (
     write_text,
 )
 from capture_sim.errors import SceneError
-from capture_sim.run.results import LOADS, implausible_stroke
+from capture_sim.run.loads import LOADS, implausible_stroke
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range
 from capture_sim.studies.design import (

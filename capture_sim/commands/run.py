@@ -15,7 +15,7 @@ from capture_sim.commands.output import (
     warn,
 )
 from capture_sim.commands.results_folder import Recorded, ResultsFolder
-from capture_sim.run.results import implausible_stroke
+from capture_sim.run.loads import implausible_stroke
 from capture_sim.run.simulation import RunError, simulate
 from capture_sim.scene.loading import overridden_name
 

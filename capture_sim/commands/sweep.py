@@ -29,7 +29,7 @@ from capture_sim.commands.inputs import (
 from capture_sim.commands.output import Progress, drawing, echo, warn
 from capture_sim.errors import SceneError
 from capture_sim.recording.sweep_file import check_format, read_cases, write_sweep
-from capture_sim.run.results import LOADS, implausible_stroke, plausible_stroke
+from capture_sim.run.loads import LOADS, implausible_stroke, plausible_stroke
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.axes import FAMILIAR
 from capture_sim.studies.dispersion import (

@@ -6,25 +6,22 @@ run is divided into calls.
 
 from __future__ import annotations
 
-import functools
 import math
-import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from capture_sim.base.compiled.kernels import is_compiled, records
-from capture_sim.base.interrupts import in_worker
+from capture_sim.base.compiled.kernels import records
 from capture_sim.dynamics.engine import loop
-from capture_sim.dynamics.engine.state import N_WATCHED, WORKSPACE, Status
+from capture_sim.dynamics.engine.state import N_WATCHED, Status
+from capture_sim.dynamics.event_text import AT_WALL, event_text
+from capture_sim.dynamics.memory import STATE_BYTES, Memory, first_state, joined
 from capture_sim.dynamics.model.contact import FRICTION_LAWS
 from capture_sim.dynamics.model.equations import hold_at_rest
 from capture_sim.dynamics.model.parameters import pack
 from capture_sim.dynamics.model.stiffness import stiffest_part
+from capture_sim.dynamics.sample_times import check_times, to_the_end
 from capture_sim.dynamics.samples import (
     EXTREME_NAMES,
     EXTREMES,
@@ -35,18 +32,12 @@ from capture_sim.dynamics.samples import (
     Extremes,
     Phase,
 )
-from capture_sim.dynamics.solver.pairs import PAIRS
-from capture_sim.dynamics.solver.runge_kutta import set_pair
-from capture_sim.errors import SceneError, SimulationError
+from capture_sim.errors import SimulationError
 from capture_sim.scene.launch_plan import LaunchPlan
-from capture_sim.scene.loading import check_scene, load_scene
+from capture_sim.scene.loading import check_scene
 from capture_sim.scene.parts import Scene
 
-#: Samples of one call into the engine; the overhead of a call is negligible.
-BLOCK = 4096
 _TRACE_ROOM = 1024
-_FIRST_STEP = 1e-6  # s; the step control adjusts it
-_FIRST_ERROR = 1e-4  # for the step control, as there is no earlier step
 
 #: Why the engine cannot continue, by its status.
 CAUSES = {
@@ -63,36 +54,6 @@ CAUSES = {
     Status.PILE_UP: "more than 100 events fell on one instant",
 }
 
-#: The workspace up to the log, which each call begins again.
-_STATE_BYTES = WORKSPACE.fields["log"][1]  # type: ignore[index]
-
-_AT_WALL = (EventKind.TOUCH, EventKind.LIFT_OFF, EventKind.STICK, EventKind.SLIP)
-
-
-@functools.cache
-def compile_kernels(*, announce: bool = True) -> None:
-    """Load the compiled kernels; compile them first if this version is not compiled yet.
-
-    Compiling needs about half a minute of one core, once. Call this function before measuring
-    times. Unless ``announce`` is false, lines on stderr report the start and the duration.
-    """
-
-    def run_briefly() -> None:
-        bench = Bench(load_scene("paper_designed"))
-        bench.advance(bench.times(0, 2))
-
-    if is_compiled() or not announce:
-        in_worker(run_briefly)
-        return
-    print(
-        "capture_sim: compiling the kernels, once for this version: about 30 s of one core",
-        file=sys.stderr,
-        flush=True,
-    )
-    start = time.perf_counter()
-    in_worker(run_briefly)
-    print(f"capture_sim: compiled in {time.perf_counter() - start:.0f} s", file=sys.stderr)
-
 
 class Statistics(NamedTuple):
     """Number of steps, rejected steps and evaluations of the equations of motion."""
@@ -108,34 +69,6 @@ class Checkpoint(NamedTuple):
     record: np.ndarray
     n_unread: int
     last_time: float
-
-
-class Memory:
-    """Memory of one run at a time; a later run can have it again, as new memory costs time.
-
-    ``samples`` (n,) of dtype SAMPLE is room for the samples of a call, which the next call
-    overwrites: runs of a study that are integrated one after the other share it.  None for new room
-    in each call.
-    """
-
-    def __init__(self, samples: np.ndarray | None = None) -> None:
-        self.workspace = np.zeros(1, WORKSPACE)
-        self._samples = np.empty(0, SAMPLE) if samples is None else samples
-
-    def samples(self, count: int) -> np.ndarray:
-        """Return room for samples, (count,) of dtype SAMPLE."""
-        return self._samples[:count] if count <= self._samples.size else np.empty(count, SAMPLE)
-
-
-@functools.lru_cache(maxsize=len(PAIRS))
-def _first_state(method: str) -> np.ndarray:
-    """Return the bytes of a workspace up to its log, with what all runs of a method begin with."""
-    workspace = np.zeros(1, WORKSPACE)
-    set_pair(workspace[0]["stepper"], PAIRS[method]())
-    step = workspace[0]["step"]
-    step["h_next"], step["error"] = _FIRST_STEP, _FIRST_ERROR
-    step["equations_changed"] = 1
-    return workspace.view(np.uint8)[:_STATE_BYTES]
 
 
 _NO_TRACE = np.zeros(0, SAMPLE)
@@ -179,7 +112,7 @@ class Bench:
         self.plan = own_plan if plan is None else plan
         self._memory = Memory() if memory is None else memory
         self._workspace = self._memory.workspace
-        self._workspace.view(np.uint8)[:_STATE_BYTES] = _first_state(scene.run.method)
+        self._workspace.view(np.uint8)[:STATE_BYTES] = first_state(scene.run.method)
         self._record = w = self._workspace[0]
         self._system, stepper = w["system"], w["stepper"]
         launch = self.plan.hanging_mass, self.plan.drop_height, self.plan.impact_speed
@@ -394,12 +327,12 @@ class Bench:
 
     def saved(self) -> Checkpoint:
         """Return the state, for :meth:`restore` of this bench or of another one of this scene."""
-        record = self._workspace.view(np.uint8)[:_STATE_BYTES].copy()
+        record = self._workspace.view(np.uint8)[:STATE_BYTES].copy()
         return Checkpoint(record, len(self._unread), self._last_time)
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Go back to a saved state; events since then that were not read are forgotten."""
-        self._workspace.view(np.uint8)[:_STATE_BYTES] = checkpoint.record
+        self._workspace.view(np.uint8)[:STATE_BYTES] = checkpoint.record
         del self._unread[checkpoint.n_unread :]
         self._last_time, self._fatal = checkpoint.last_time, None
 
@@ -433,140 +366,8 @@ class Bench:
                     touch = batch["touch"][number]
                     self._touches.append(touch)
                 q, v = batch["q"][number], batch["v"][number]
-                wall, detail = which if kind in _AT_WALL else 0, _detail(kind, which, value)
+                wall, detail = which if kind in AT_WALL else 0, event_text(kind, which, value)
                 self._events.append(Event(kind, t, q, v, wall, detail, touch))
-
-
-def joined(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Return a copy of arrays of records of one type, one after the other."""
-    # as bytes: field by field, NumPy needs eight times as long
-    raw = [np.ascontiguousarray(part).view(f"V{part.itemsize}") for part in parts]
-    return np.concatenate(raw).view(parts[0].dtype)
-
-
-def to_the_end(times: np.ndarray) -> np.ndarray:
-    """Return sample times (n,) and one more, that no run reaches, (n + 1,): up to it a run ends."""
-    return np.append(times, np.inf)
-
-
-def check_times(
-    times: ArrayLike, after: float = -math.inf, t_end: float = sys.float_info.max
-) -> np.ndarray:
-    """Return sample times, s since the release, as an array (n,).
-
-    SceneError if they are not finite and ascending, greater than ``after`` and at most ``t_end``.
-    """
-    try:
-        t = np.ascontiguousarray(times, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise SceneError("sample times: must be numbers, s") from None
-    if t.ndim != 1:
-        raise SceneError(f"sample times of shape {t.shape}: must be (n,)")
-    if t.size and not (after < t[0] >= 0.0 and t[-1] <= t_end and (t[1:] > t[:-1]).all()):
-        before = np.concatenate([[after], t[:-1]])
-        k = int(np.argmin((t > before) & (t >= 0.0) & (t <= t_end)))
-        lower_text = f"> {before[k]:.9g}" if before[k] >= 0.0 else ">= 0"
-        upper_text = "" if t_end == sys.float_info.max else f" and <= {t_end:.9g}"
-        raise SceneError(
-            f"sample time number {k} = {t[k]:.9g} s: must be {lower_text}{upper_text}, finite and "
-            "ascending"
-        )
-    return t
-
-
-@dataclass(frozen=True)
-class Block:
-    """One piece of a run: the samples, trace and events since the piece before."""
-
-    samples: np.ndarray  # (n,) of dtype SAMPLE
-    trace: np.ndarray  # (k,) of dtype SAMPLE, empty without trace
-    failure: SimulationError | None  # if the run stopped early, in its last piece
-    _bench: Bench
-    _events: slice
-
-    @property
-    def events(self) -> list[Event]:
-        """Events of the piece, in order."""
-        return self._bench.events[self._events]
-
-
-def drive(
-    bench: Bench, times: np.ndarray | None = None, *, block: int | Callable[[], int] = BLOCK
-) -> Iterator[Block]:
-    """Run a bench to its end piece by piece.
-
-    Parameters
-    ----------
-    bench
-        Bench at its release.
-    times
-        (n,) ascending sample times, s; None for the grid of ``scene.run.state_rate``.
-    block
-        Number of samples of a piece, or a function that returns it before each piece.
-
-    Yields
-    ------
-    Block
-        The next piece.  Nothing is computed ahead, so you can leave the loop at any piece.
-
-    Examples
-    --------
-    Until the tip is within 10 mm of the centre of BE:
-
-    >>> from capture_sim import Bench, load_scene
-    >>> from capture_sim.dynamics.bench import drive
-    >>> for piece in drive(Bench(load_scene("tilt_0")), block=100):
-    ...     if piece.samples["tip_distance"].min() < 0.01:
-    ...         break
-    """
-    n_samples = n_events = n_trace = 0
-    while not bench.done:
-        size = block if isinstance(block, int) else block()
-        piece_times = (
-            bench.times(n_samples, size) if times is None else times[n_samples : n_samples + size]
-        )
-        failure = None
-        try:
-            samples = bench.advance(piece_times)
-        except SimulationError as error:
-            samples, failure = error.partial, error
-        n_samples += size
-        events = slice(n_events, bench.event_count)
-        n_events = bench.event_count
-        trace, n_trace = bench.trace_since(n_trace), bench.trace_pieces
-        yield Block(samples, trace, failure, bench, events)
-        if failure is not None:
-            return
-
-
-def _detail(kind: EventKind, which: int, value: float) -> str:
-    """Return an event in words; ``which`` is its wall, vehicle or stop."""
-    wall = "+y wall" if which > 0 else "-y wall"
-    stop = "compressed" if which < 0 else "extended"
-    if kind is EventKind.LANDED:
-        return f"hanging mass down, chaser at {value:.6g} m/s"
-    if kind is EventKind.RAIL_END:
-        return f"chaser free at {value:.6g} m/s"
-    if kind is EventKind.TOUCH:
-        return f"{wall} at {value:.6g} m/s"
-    if kind is EventKind.LIFT_OFF:
-        return f"{wall} after a peak of {value:.6g} N"
-    if kind in (EventKind.AT_REST, EventKind.MOVING):
-        return "chaser" if which == 1 else "target"
-    if kind in (EventKind.STOP_HIT, EventKind.STOP_LEFT):
-        return f"{stop} at {value:.6g} m/s"
-    if kind is EventKind.SEATED:
-        return f"probe back on its seat at {value:.6g} m/s"
-    if kind is EventKind.UNSEATED:
-        return f"probe leaves its seat at {value:.6g} N"
-    if kind is EventKind.SLIP and math.isinf(value):
-        return f"{wall}, after the impact on the seat"
-    if kind in (EventKind.STICK, EventKind.SLIP):
-        place = wall if which else "probe in its slide"
-        return f"{place}, friction {value:.6g} N to hold"
-    if kind is EventKind.LATCHED:
-        return f"tip caught {value * 1e3:.6g} mm from the centre of BE"
-    return ""
 
 
 def error_scale(par: np.void) -> np.ndarray:

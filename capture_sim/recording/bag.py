@@ -53,7 +53,7 @@ from capture_sim.recording.write import (
     SCENE_ATTACHMENT,
     describing,
 )
-from capture_sim.run.results import extremes_from_text, with_forces_of_touches
+from capture_sim.run.loads import extremes_from_text, with_forces_of_touches
 from capture_sim.run.series import Series, in_order
 from capture_sim.scene.loading import load_scene_text
 from capture_sim.scene.parts import Detector, Scene

@@ -35,7 +35,7 @@ from capture_sim.messages.telemetry import (
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR, TOPICS, Topic
 from capture_sim.recording.scan import head_metadata
 from capture_sim.recording.write import RUN_METADATA, RunWriter, describing
-from capture_sim.run.results import extremes_to_text
+from capture_sim.run.loads import extremes_to_text
 
 if TYPE_CHECKING:
     from capture_sim.run.run import Run

@@ -30,6 +30,7 @@ from capture_sim.dynamics.samples import (
     unit_of_column,
 )
 from capture_sim.errors import MissingPackageError, RecordingError, SceneError, install_hint
+from capture_sim.run.loads import loads_of, sampled_extremes
 from capture_sim.run.reconstruction import (
     events_of,
     measured_samples,
@@ -37,9 +38,10 @@ from capture_sim.run.reconstruction import (
     touches_in_force,
     touches_in_samples,
 )
-from capture_sim.run.results import heads, loads_of, sampled_extremes, summarize
-from capture_sim.run.results import rows as rows_of
 from capture_sim.run.series import NO_SERIES, STATE, Deferred, Series, SeriesBySource
+from capture_sim.run.summary import summarize
+from capture_sim.run.summary_table import heads
+from capture_sim.run.summary_table import rows as rows_of
 from capture_sim.run.touches import (
     MIN_SAMPLES,
     Touches,
@@ -425,7 +427,7 @@ class Run:
         """Loads of the whole run and of the time before the latch closes, by name, SI units.
 
         Examples of names are ``max_torsion`` and ``max_torsion_before_latch``; with the ending
-        ``_time``, the time of that load.  :data:`capture_sim.run.results.LOADS` lists names
+        ``_time``, the time of that load.  :data:`capture_sim.run.loads.LOADS` lists names
         and units.
         """
         return loads_of(self.extremes, self.touches)

@@ -15,7 +15,11 @@ from numpy.typing import ArrayLike
 
 from capture_sim.base.software import software_versions
 from capture_sim.detection.criteria import CaptureStatus
-from capture_sim.dynamics.bench import Bench, check_times, compile_kernels, drive, joined
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.compilation import compile_kernels
+from capture_sim.dynamics.drive import drive
+from capture_sim.dynamics.memory import joined
+from capture_sim.dynamics.sample_times import check_times
 from capture_sim.dynamics.samples import SAMPLE, EventKind
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.run.run import Check, Origin, Run

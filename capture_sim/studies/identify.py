@@ -27,7 +27,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from capture_sim.dynamics.bench import Bench, compile_kernels
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.run.run import Run
 from capture_sim.run.series import PARTS, Series, series_in

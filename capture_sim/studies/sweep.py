@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capture_sim.dynamics.bench import Memory
+from capture_sim.dynamics.memory import Memory
 from capture_sim.dynamics.samples import EXTREMES, SAMPLE, TOUCH, Extremes
 from capture_sim.errors import MissingPackageError, SceneError, install_hint
-from capture_sim.run.results import LOADS, loads_of
+from capture_sim.run.loads import LOADS, loads_of
 from capture_sim.scene import paths
 from capture_sim.scene.approach import APPROACH, Approach, approach_of, placed, with_approach
 from capture_sim.scene.files import Overrides

@@ -14,7 +14,7 @@ import numpy as np
 
 from capture_sim.dynamics.samples import Phase
 from capture_sim.errors import CaptureSimError
-from capture_sim.run.results import first_touch
+from capture_sim.run.first_contact import first_touch
 from capture_sim.run.run import Run
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import style

@@ -17,9 +17,10 @@ from capture_sim.base.files import whole_file
 from capture_sim.base.software import own_version
 from capture_sim.dynamics.samples import ENERGIES, EventKind
 from capture_sim.errors import SceneError, SimulationError
-from capture_sim.run.results import LEGEND, first_cluster, heads, notes, rows
+from capture_sim.run.first_contact import first_cluster
 from capture_sim.run.run import Run
 from capture_sim.run.simulation import simulate
+from capture_sim.run.summary_table import LEGEND, heads, notes, rows
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Declared, declared
 from capture_sim.viewing import style

@@ -14,7 +14,7 @@ import rerun as rr
 
 from capture_sim.base.files import whole_file
 from capture_sim.errors import RecordingError
-from capture_sim.run.results import impact_speed
+from capture_sim.run.first_contact import impact_speed
 from capture_sim.run.run import Run
 from capture_sim.scene.parts import as_name
 from capture_sim.viewing import style

@@ -10,7 +10,7 @@ import numpy as np
 
 from capture_sim.dynamics.samples import EventKind
 from capture_sim.errors import CaptureSimError
-from capture_sim.run.results import first_touch, impact_speed
+from capture_sim.run.first_contact import first_touch, impact_speed
 from capture_sim.run.run import Run
 from capture_sim.run.simulation import RunError, simulate
 from capture_sim.scene.parts import Scene, as_name

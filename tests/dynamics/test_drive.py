@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from capture_sim import SceneError, SimulationError, load_scene, simulate
-from capture_sim.dynamics.bench import Bench, drive
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.drive import drive
 
 
 def test_pieces_add_up_to_the_run_whatever_their_size():

@@ -9,7 +9,7 @@ from random_scenes import random_scenes, wide_scenes
 
 from capture_sim import Bench, load_scene
 from capture_sim.dynamics.samples import EXTREME_NAMES, TOUCH
-from capture_sim.run.results import sampled_extremes
+from capture_sim.run.loads import sampled_extremes
 
 
 def run(scene, times=()):

@@ -64,7 +64,7 @@ def test_ctrl_c_ends_a_slow_run():
     """A run of minutes in one call; it ends long before its steps are used up."""
     code = (
         "from capture_sim import Bench, load_scene\n"
-        "from capture_sim.dynamics.bench import compile_kernels\n"
+        "from capture_sim.dynamics.compilation import compile_kernels\n"
         "compile_kernels()\n"
         "b = Bench(load_scene('paper_designed', ['probe.density=1e-9']))\n"
         "print('ready', flush=True)\n"

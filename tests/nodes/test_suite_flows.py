@@ -27,7 +27,7 @@ from capture_sim.nodes.base.endpoints import TRANSIENT_LOCAL, message_class, qos
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.read import run_of
-from capture_sim.run.results import loads_of
+from capture_sim.run.loads import loads_of
 from capture_sim.run.run import detect
 from capture_sim.scene.loading import load_scene_text
 from tests.nodes.bench_client import Client, statuses, wait_until

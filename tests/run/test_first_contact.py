@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from capture_sim import EventKind, load_scene, simulate
-from capture_sim.dynamics.bench import Bench, drive
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.drive import drive
 from capture_sim.dynamics.samples import TOUCH
-from capture_sim.run.results import first_cluster, first_contact_end
+from capture_sim.run.first_contact import first_cluster, first_contact_end
 
 
 def touches(*rows):

@@ -3,7 +3,7 @@
 import pytest
 
 from capture_sim import load_scene, simulate
-from capture_sim.run.results import first_cluster
+from capture_sim.run.first_contact import first_cluster
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 import capture_sim
 from capture_sim import MissingPackageError, SceneError, SimulationError, load_scene, simulate
 from capture_sim.messages.units import unit_of
-from capture_sim.run.results import (
+from capture_sim.run.loads import (
     LOADS,
     extremes_from_text,
     extremes_to_text,

@@ -8,7 +8,7 @@ import re
 import pytest
 
 import capture_sim
-from capture_sim.run.results import heads, rows, table
+from capture_sim.run.summary_table import heads, rows, table
 
 NAMES = ("tilt_0", "tilt_m10", "paper_undamped", "paper_clamped")
 

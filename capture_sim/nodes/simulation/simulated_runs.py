@@ -31,7 +31,7 @@ from capture_sim.nodes.simulation.control import RunCut, SimulationControl
 from capture_sim.nodes.simulation.diagnostics import SimulatorDiagnostics
 from capture_sim.nodes.simulation.robot_model import RobotModel
 from capture_sim.nodes.simulation.stepping import Stepping
-from capture_sim.run.results import extremes_to_text
+from capture_sim.run.loads import extremes_to_text
 from capture_sim.scene.launch_plan import LaunchPlan, plan_launch
 from capture_sim.scene.parts import Scene
 

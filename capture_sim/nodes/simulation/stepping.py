@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.dynamics.bench import Bench, drive
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.drive import drive
 from capture_sim.messages.telemetry import BenchTelemetry
 from capture_sim.messages.topics import Topic
 from capture_sim.nodes.simulation.control import RunCut, SimulationControl
