@@ -18,7 +18,7 @@ from capture_sim.commands.inputs import (
     whole,
 )
 from capture_sim.commands.output import echo
-from capture_sim.run.run import Release
+from capture_sim.run.origin import Release
 from capture_sim.scene.paths import ALIASES, value_of
 from capture_sim.studies.identify import RELEASE, identify, is_explained
 

@@ -17,8 +17,9 @@ from capture_sim.dynamics.samples import Event, EventKind, Phase
 from capture_sim.hardware.law import TipState, Walls
 from capture_sim.hardware.stage import LoopStage
 from capture_sim.run.loads import sampled_extremes
+from capture_sim.run.origin import Origin
 from capture_sim.run.reconstruction import touches_in_samples
-from capture_sim.run.run import Origin, Run
+from capture_sim.run.run import Run
 from capture_sim.scene.parts import PlanarState, Scene
 
 #: Events of the stage that its record keeps; the touches of a law are found as those of a rig.

@@ -17,8 +17,8 @@ from capture_sim.messages.topics import BENCH_EVENT, CONTACT_TRACE
 from capture_sim.messages.units import unit_of
 from capture_sim.recording.bag import Bag
 from capture_sim.recording.sweep_file import arrow, head_of, with_units
-from capture_sim.run.run import Table
-from capture_sim.run.series import LazyMapping
+from capture_sim.run.frames import Table
+from capture_sim.run.lazy import LazyMapping
 
 #: Column of the times since the release, s; of the sample, where messages carry one.
 TIME = "t"

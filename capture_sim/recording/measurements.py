@@ -17,14 +17,8 @@ from capture_sim.messages import topics
 from capture_sim.messages.measurements import DetectorInput
 from capture_sim.messages.topics import Topic
 from capture_sim.recording.bag import Bag
-from capture_sim.run.series import (
-    QUANTITIES,
-    Deferred,
-    LazyMapping,
-    Series,
-    SeriesBySource,
-    series_in,
-)
+from capture_sim.run.lazy import Deferred, LazyMapping
+from capture_sim.run.series import QUANTITIES, Series, SeriesBySource, series_in
 from capture_sim.run.verdict import TICK, Received, Trial
 from capture_sim.scene.launch_plan import LaunchPlan, plan_launch
 from capture_sim.scene.parts import Scene

@@ -9,13 +9,11 @@ import html
 import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from enum import Enum, auto
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from capture_sim.base.software import scene_hash
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.dynamics.samples import (
     ENERGIES,
@@ -25,12 +23,12 @@ from capture_sim.dynamics.samples import (
     Event,
     EventKind,
     Extremes,
-    Phase,
-    columns_of,
-    unit_of_column,
 )
-from capture_sim.errors import MissingPackageError, RecordingError, SceneError, install_hint
+from capture_sim.errors import RecordingError, SceneError
+from capture_sim.run.frames import Table, events_frame, samples_frame, topic_frame, touches_frame
+from capture_sim.run.lazy import Lazy
 from capture_sim.run.loads import loads_of, sampled_extremes
+from capture_sim.run.origin import Origin, scene_origin
 from capture_sim.run.reconstruction import (
     events_of,
     measured_samples,
@@ -38,7 +36,7 @@ from capture_sim.run.reconstruction import (
     touches_in_force,
     touches_in_samples,
 )
-from capture_sim.run.series import NO_SERIES, STATE, Deferred, Series, SeriesBySource
+from capture_sim.run.series import NO_SERIES, STATE, Series, SeriesBySource
 from capture_sim.run.summary import summarize
 from capture_sim.run.summary_table import heads
 from capture_sim.run.summary_table import rows as rows_of
@@ -52,13 +50,11 @@ from capture_sim.run.touches import (
 )
 from capture_sim.run.verdict import (
     Received,
-    Trial,
     detect_received,
     detect_state,
     received_in,
     with_criteria,
 )
-from capture_sim.scene.loading import overrides_of
 
 if TYPE_CHECKING:
     import pandas
@@ -67,50 +63,8 @@ if TYPE_CHECKING:
     from capture_sim.scene.launch_plan import LaunchPlan
     from capture_sim.scene.parts import Detector, Scene
 
-T = TypeVar("T")
-
 #: Source of located touches and events: the topic that carries them.
 EVENTS = "bench/event"
-
-
-class Lazy(Generic[T]):
-    """A field of a dataclass that may be given as a Deferred, e.g. of a topic not yet decoded."""
-
-    def __init__(self, default: Callable[[], T]) -> None:
-        self._default = default
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._name = name
-
-    def __get__(self, run: Any, owner: type) -> T:
-        # of the class: the default of the dataclass's field
-        value: Any = None if run is None else run.__dict__[self._name]
-        return value.value if isinstance(value, Deferred) else value  # type: ignore[no-any-return]
-
-    def __set__(self, run: Any, value: T | Deferred[T] | None) -> None:
-        run.__dict__[self._name] = self._default() if value is None else value
-
-
-class Release(Enum):
-    """How the release, t = 0, was found."""
-
-    STAMP = auto()  # recorded, and stamped by the clock of the poses
-    ARRIVAL = auto()  # recorded by its arrival only, or the trial's announcement in its place
-    GIVEN = auto()  # by the user, after the first pose
-    BEGINNING = auto()  # not recorded: the first pose, without poses the first message
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Origin of a run: its source, scene, overrides and software."""
-
-    path: str = ""  # of the recording; empty for a run of :func:`capture_sim.simulate`
-    software: tuple[str, ...] = ()  # that made it, ``"name version"`` each
-    release: Release = Release.STAMP
-    after_first_pose: float = 0.0  # s, of the release
-    trial: Lazy[Trial] = Lazy(lambda: Trial(is_simulated=True))  # used by the live detector
-    problems: tuple[str, ...] = ()  # why the recording is incomplete, one line each
-    left_out: tuple[str, ...] = ()  # topics that cannot be read, one line each
 
 
 @dataclass(frozen=True)
@@ -127,13 +81,6 @@ class Check:
     error: np.ndarray  # (n,), m
     same_touches: bool  # True if both runs touch the same walls in the same order
     failure: str = ""  # reason why the second run stopped early; the error is infinite from there
-
-
-class Table(NamedTuple):
-    """A table of a run."""
-
-    fields: Mapping[str, np.ndarray]  # by name, (n,) or (n, m)
-    units: Mapping[str, str]  # of the columns that have one, see samples.columns_of
 
 
 class FirstContact(NamedTuple):
@@ -541,38 +488,19 @@ class Run:
         ValueError
             There is no such table.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise MissingPackageError(
-                f"to_dataframe() needs pandas: {install_hint('study')}"
-            ) from None
-        columns: dict[str, Any]
-        units = None
+        if table == "samples":
+            return samples_frame(self.samples)
         if table == "touches":
-            columns = columns_of(self.touches)
-        elif table == "samples":
-            labels = [phase.label for phase in Phase]
-            phases = pandas.Categorical.from_codes(self.samples["phase"], categories=labels)
-            columns = {**columns_of(self.samples), "phase": phases}
-        elif table == "events":
-            columns = _event_columns(self.events)
-            kinds = [kind.label for kind in EventKind]
-            columns["kind"] = pandas.Categorical(columns["kind"], categories=kinds)
-        elif (topic := table if table in self.tables else f"/{table}") in self.tables:
-            recorded = self.tables[topic]
-            columns, units = columns_of(recorded.fields), recorded.units
-        else:
+            return touches_frame(self.touches)
+        if table == "events":
+            return events_frame(self.events)
+        topic = table if table in self.tables else f"/{table}"
+        if topic not in self.tables:
             available = ", ".join(("samples", "touches", "events", *self.tables))
             raise ValueError(
                 f"table = {table!r}: must be one of {available}; loads are in run.loads"
             )
-        frame = pandas.DataFrame(columns)
-        frame = frame.set_index("t") if "t" in columns else frame.rename_axis("touch")
-        if units is None:
-            units = {name: unit_of_column(name) for name in columns}
-        frame.attrs["units"] = {name: units.get(name, "") for name in columns}
-        return frame
+        return topic_frame(self.tables[topic])
 
     def plot(self) -> Any:
         """Return a matplotlib figure of the run; see :func:`capture_sim.plot`.
@@ -617,27 +545,6 @@ def detect(
     trial = run.origin.trial._replace(is_cut=is_cut)
     received = received_in(run.series) if run.received is None else run.received
     return detect_received(received, scene, trial)
-
-
-def scene_origin(scene: Scene) -> dict[str, Any]:
-    """Return name, overrides and hash of a scene, and the seed of its sensors (None without)."""
-    return {
-        "scene": scene.name,
-        "overrides": overrides_of(scene),
-        "scene_sha256": scene_hash(scene.to_yaml()),
-        "seed": None if scene.sensors is None else scene.sensors.seed,
-    }
-
-
-def _event_columns(events: Sequence[Event]) -> dict[str, Any]:
-    state = {name: np.array([getattr(e, name) for e in events]).reshape(-1, 8) for name in "qv"}
-    return {
-        "t": np.array([event.t for event in events]),
-        "kind": [event.kind.label for event in events],
-        "wall": [event.wall for event in events],
-        "detail": [event.detail for event in events],
-        **columns_of(state),
-    }
 
 
 def _turned(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:

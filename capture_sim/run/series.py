@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from functools import cached_property
-from typing import Generic, NamedTuple, TypeVar
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
-
-T = TypeVar("T")
 
 _CHASER, _TARGET = slice(0, 3), slice(5, 8)
 _THETA_S, _THETA_P, _H = 2, 3, 4
@@ -58,37 +55,6 @@ def in_order(
         values = values.copy()
         values[:, angle] = np.unwrap(values[:, angle])
     return Series(t, values, arrival[is_finite][first] if arrival.size else arrival)
-
-
-class Deferred(Generic[T]):
-    """A value that is made at its first use."""
-
-    def __init__(self, make: Callable[[], T]) -> None:
-        self._make = make
-
-    @cached_property
-    def value(self) -> T:
-        """The value."""
-        return self._make()
-
-
-class LazyMapping(Mapping[str, T]):
-    """A mapping whose values are made at their first use."""
-
-    def __init__(self, makers: Mapping[str, Callable[[], T]]) -> None:
-        self._values = {name: Deferred(make) for name, make in makers.items()}
-
-    def __getitem__(self, name: str) -> T:
-        return self._values[name].value
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
-
-    def __len__(self) -> int:
-        return len(self._values)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._values
 
 
 def at_rate(t: np.ndarray, rate: float) -> np.ndarray:

@@ -22,17 +22,11 @@ from capture_sim.dynamics.memory import joined
 from capture_sim.dynamics.sample_times import check_times
 from capture_sim.dynamics.samples import SAMPLE, EventKind
 from capture_sim.errors import SceneError, SimulationError
-from capture_sim.run.run import Check, Origin, Run
+from capture_sim.run.lazy import Deferred, LazyMapping
+from capture_sim.run.origin import Origin
+from capture_sim.run.run import Check, Run
 from capture_sim.run.sensors import sensor_series
-from capture_sim.run.series import (
-    QUANTITIES,
-    STATE,
-    Deferred,
-    LazyMapping,
-    Series,
-    SeriesBySource,
-    series_in,
-)
+from capture_sim.run.series import QUANTITIES, STATE, Series, SeriesBySource, series_in
 from capture_sim.scene.files import Overrides, has_overrides
 from capture_sim.scene.loading import change_scene, load_scene
 from capture_sim.scene.parts import RunSettings, Scene
