@@ -4,8 +4,8 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-NUMERICAL := tests/test_accuracy.py tests/test_second_formulation.py tests/engine/test_extremes.py \
-	tests/hard_cases/test_edges_and_throat.py
+NUMERICAL := tests/dynamics/test_accuracy.py tests/dynamics/test_second_formulation.py tests/dynamics/test_extremes.py \
+	tests/dynamics/hard_cases/test_edges_and_throat.py
 
 # A sourced ROS, or another environment, must not mix with the one in .venv.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH

@@ -36,7 +36,7 @@ COMMANDS = {
 }
 #: What they write, in a folder that goes.
 WRITTEN = {"run": "runs", "bench": "runs"}
-COMPILE = ("-c", "from capture_sim.bench import compile_kernels; compile_kernels()")
+COMPILE = ("-c", "from capture_sim.dynamics.compilation import compile_kernels; compile_kernels()")
 
 
 def spent(checkout: Path, arguments: tuple[str, ...], **more: str) -> tuple[float, float, float]:

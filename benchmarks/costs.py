@@ -16,11 +16,11 @@ from benchmarks.engines.own import packed, with_run
 from benchmarks.engines.scipy_ivp import gap_of_wall
 from benchmarks.pages import Spread
 from benchmarks.trial import Progress, timed
-from capture_sim.bench import Bench
-from capture_sim.kernels import entry_kernel
-from capture_sim.launch.scenes import load_scene
-from capture_sim.model.equations import N_TOTAL, make_system, rate_of_change
-from capture_sim.samples import EventKind
+from capture_sim.base.compiled.kernels import entry_kernel
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.model.equations import N_TOTAL, make_system, rate_of_change
+from capture_sim.dynamics.samples import EventKind
+from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import Scene
 
 _SUPPORT = "{balls: [[0.12, 0.0], [-0.06, 0.104], [-0.06, -0.104]], c_rr: 1.0e-3}"

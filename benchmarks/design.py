@@ -22,9 +22,9 @@ import numpy as np
 
 from benchmarks.pages import DOCS, table, write_parts
 from capture_sim import load_scene, simulate
-from capture_sim.launch.approach import Approach, placed
-from capture_sim.launch.plan import travel_to_touch
-from capture_sim.results import first_cluster
+from capture_sim.run.first_contact import first_cluster
+from capture_sim.scene.approach import Approach, placed
+from capture_sim.scene.launch_plan import travel_to_touch
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.design import FREE, OBJECTIVE, Design, Requirements, design_buffer
 from capture_sim.studies.executors import answers, open_executor

@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from typing import Any
 
 from capture_sim.detection import exact
-from capture_sim.engine import loop
+from capture_sim.dynamics.engine import loop
 
 
 def timed(work: Callable[[Any], Any], task: Any) -> tuple[Any, float, float, float]:

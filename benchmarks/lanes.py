@@ -29,9 +29,8 @@ import numpy as np
 
 from benchmarks.costs import run_cost
 from benchmarks.pages import ratio, table, write_parts
-from capture_sim.kernels import entry_kernel, records
-from capture_sim.launch.scenes import load_scene
-from capture_sim.model.equations import (
+from capture_sim.base.compiled.kernels import entry_kernel, records
+from capture_sim.dynamics.model.equations import (
     AXIAL,
     FRICTION,
     HYSTERESIS,
@@ -41,7 +40,8 @@ from capture_sim.model.equations import (
     make_system,
     rate_of_change,
 )
-from capture_sim.model.parameters import pack
+from capture_sim.dynamics.model.parameters import pack
+from capture_sim.scene.loading import load_scene
 
 SCENE = "paper_designed"
 #: States that one call evaluates, and evaluations of each that one timing has.

@@ -97,8 +97,8 @@ def drive(messages, pids):
     from rclpy.experimental import EventsExecutor
 
     from capture_sim.messages.topics import CAPTURE_STATUS
-    from capture_sim.nodes import dds
-    from capture_sim.nodes.endpoints import from_bytes, message_class, qos_of
+    from capture_sim.nodes.base import dds
+    from capture_sim.nodes.base.endpoints import from_bytes, message_class, qos_of
 
     dds.configure(os.environ)
     rclpy.init(args=[])

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 from capture_sim import __version__
-from capture_sim.kernels import source_hash
+from capture_sim.base.compiled.kernels import source_hash
 
 #: Cores that others may keep busy on average before a measurement is no more to be trusted.
 QUIET = 0.1

@@ -23,7 +23,7 @@ import psutil
 
 from benchmarks.pages import Spread, table, write_parts
 from capture_sim import load_scene, simulate
-from capture_sim.control.simulation import Code, State
+from capture_sim.nodes.simulation.control import Code, State
 from capture_sim.recording.bag import read_bag
 from tests.nodes.bench_processes import Client, Simulation, processes, statuses, wait_until
 from tests.nodes.forked import Forked

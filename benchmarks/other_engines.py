@@ -21,7 +21,7 @@ from benchmarks.engines.own import with_run
 from benchmarks.pages import error, ratio, seconds, table, write_parts
 from benchmarks.reference import load_reference
 from benchmarks.trial import Progress, Trial, run_rounds
-from capture_sim.launch.scenes import load_scene
+from capture_sim.scene.loading import load_scene
 
 SCENE = "paper_designed"
 _T_END = 0.35  # s

@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.machine import OthersAtWork, stamp
-from capture_sim.bench import compile_kernels
-from capture_sim.files import whole_file
+from capture_sim.base.files import whole_file
+from capture_sim.dynamics.compilation import compile_kernels
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 _BEGIN, _END = "<!-- measured: {} -->", "<!-- end of measured -->"

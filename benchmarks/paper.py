@@ -19,15 +19,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
-from capture_sim.launch.approach import Approach, placed
-from capture_sim.launch.plan import travel_to_touch
-from capture_sim.launch.scenes import load_scene
-from capture_sim.resources import config_dir
-from capture_sim.results import first_cluster
-from capture_sim.run import Run
+from capture_sim.base.resources import config_dir
+from capture_sim.run.first_contact import first_cluster
+from capture_sim.run.run import Run
+from capture_sim.run.simulation import simulate
+from capture_sim.scene.approach import Approach, placed
+from capture_sim.scene.launch_plan import travel_to_touch
+from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import CONTACT_LAWS, Scene
 from capture_sim.scene.paths import changed
-from capture_sim.simulation import simulate
 from capture_sim.studies.executors import answers
 from capture_sim.studies.outcome import Outcome, run_first_contact, run_to_verdict
 from capture_sim.studies.paper_flow import FirstContactTarget, design_first_contact

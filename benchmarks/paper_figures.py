@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from benchmarks.paper import CASES, DOCKING, Evidence, Scan
-from capture_sim.run import Run
+from capture_sim.run.run import Run
 from capture_sim.viewing import figures, style
 from capture_sim.viewing.canvas import subplots
 from capture_sim.viewing.curves import HOLDS, STROKE, VELOCITIES, plotted_runs

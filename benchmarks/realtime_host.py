@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.pages import table, write_parts
 from capture_sim.fmu.library import make_unit, write_library
-from capture_sim.launch.scenes import load_scene
+from capture_sim.scene.loading import load_scene
 
 SCENE = "tilt_0"
 _PRIORITY = 50

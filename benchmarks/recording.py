@@ -27,9 +27,9 @@ from capture_sim.recording.bag import read_bag
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.write import RunWriter
-from capture_sim.series import Series
+from capture_sim.run.series import Series
+from capture_sim.run.touches import Touches
 from capture_sim.studies.identify import RELEASE, identify, is_explained
-from capture_sim.touches import Touches
 from tests.nodes.bench_processes import processes
 from tests.noisy_bench import (
     CELL_RATE,

@@ -18,8 +18,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from benchmarks.pages import DOCS
 from benchmarks.paper import CASES, OPEN, Agreement, Claim, Evidence, claims
 from benchmarks.paper_figures import FIGURES
-from capture_sim.bench import compile_kernels
-from capture_sim.files import whole_file
+from capture_sim.base.files import whole_file
+from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.studies.executors import open_executor
 from capture_sim.viewing.canvas import save
 

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from capture_sim import load_scene, simulate
-from capture_sim.bench import Bench
-from capture_sim.launch.approach import Approach, placed
-from capture_sim.launch.plan import travel_to_touch
+from capture_sim.dynamics.bench import Bench
+from capture_sim.scene.approach import Approach, placed
+from capture_sim.scene.launch_plan import travel_to_touch
 from capture_sim.viewing.rerun_view import save_rrd
 
 try:

@@ -24,8 +24,8 @@ from benchmarks.page import FOLDER, TRIALS, Results, measured, write_trials
 from benchmarks.pages import DOCS, filled
 from benchmarks.plots import save_all
 from benchmarks.trial import Progress
-from capture_sim.bench import compile_kernels
-from capture_sim.launch.scenes import load_scene
+from capture_sim.dynamics.compilation import compile_kernels
+from capture_sim.scene.loading import load_scene
 
 SCENE = "paper_designed"
 _ON_RAIL = "tilt_0"  # a scene with rail and string

@@ -27,12 +27,12 @@ def end(name):
 import numpy
 end("numpy")
 import capture_sim.scene.files
-from capture_sim.launch.scenes import load_scene
+from capture_sim.scene.loading import load_scene
 scene = load_scene("tilt_0")
 end("scene")
 import numba
 end("numba")
-from capture_sim.bench import Bench, compile_kernels
+from capture_sim.dynamics.bench import Bench, compile_kernels
 compile_kernels()
 end("kernels, from the cache")
 from capture_sim import simulate

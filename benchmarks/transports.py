@@ -15,7 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from capture_sim.resources import config_dir
+from capture_sim.base.resources import config_dir
 
 ENDS = """
 import resource, sys, time

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.pages import Spread
 from capture_sim.errors import SimulationError
-from capture_sim.results import first_cluster
+from capture_sim.run.first_contact import first_cluster
 
 #: A touch as any engine can give it; ``end`` is NaN for one that was still on.
 TOUCHED = np.dtype(

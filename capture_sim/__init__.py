@@ -22,34 +22,35 @@ import importlib
 from pkgutil import extend_path
 from typing import TYPE_CHECKING, Any
 
+from capture_sim.base.version import __version__ as __version__
+
 if TYPE_CHECKING:
-    from capture_sim.bench import Bench as Bench
-    from capture_sim.bench import drive as drive
     from capture_sim.detection.criteria import CaptureState as CaptureState
+    from capture_sim.dynamics.bench import Bench as Bench
+    from capture_sim.dynamics.drive import drive as drive
+    from capture_sim.dynamics.samples import EventKind as EventKind
+    from capture_sim.dynamics.samples import Phase as Phase
     from capture_sim.errors import CaptureSimError as CaptureSimError
     from capture_sim.errors import MissingPackageError as MissingPackageError
     from capture_sim.errors import RecordingError as RecordingError
     from capture_sim.errors import SceneError as SceneError
     from capture_sim.errors import SimulationError as SimulationError
-    from capture_sim.launch.scenes import load_scene as load_scene
     from capture_sim.recording.read import read_run as read_run
-    from capture_sim.run import Run as Run
-    from capture_sim.samples import EventKind as EventKind
-    from capture_sim.samples import Phase as Phase
+    from capture_sim.run.run import Run as Run
+    from capture_sim.run.simulation import simulate as simulate
     from capture_sim.scene.files import scene_names as scene_names
+    from capture_sim.scene.loading import load_scene as load_scene
     from capture_sim.scene.parts import Scene as Scene
-    from capture_sim.simulation import simulate as simulate
     from capture_sim.studies.sweep import sweep as sweep
     from capture_sim.viewing.plots import plot as plot
 
 # lets capture_sim.msg, generated into an install prefix, be found from a source checkout
 __path__ = extend_path(__path__, __name__)
 
-__version__ = "0.2.0"
-
 # loaded at first use: code that needs no kernels does not import the compiler
 _MODULES = {
-    "bench": ("Bench", "drive"),
+    "dynamics.bench": ("Bench",),
+    "dynamics.drive": ("drive",),
     "detection.criteria": ("CaptureState",),
     "errors": (
         "CaptureSimError",
@@ -58,13 +59,13 @@ _MODULES = {
         "SceneError",
         "SimulationError",
     ),
-    "launch.scenes": ("load_scene",),
+    "scene.loading": ("load_scene",),
     "recording.read": ("read_run",),
-    "run": ("Run",),
-    "samples": ("EventKind", "Phase"),
+    "run.run": ("Run",),
+    "dynamics.samples": ("EventKind", "Phase"),
     "scene.files": ("scene_names",),
     "scene.parts": ("Scene",),
-    "simulation": ("simulate",),
+    "run.simulation": ("simulate",),
     "studies.sweep": ("sweep",),
     "viewing.plots": ("plot",),
 }

@@ -16,8 +16,9 @@ from itertools import takewhile
 from typing import Any, NoReturn
 
 import capture_sim
-from capture_sim import __version__
-from capture_sim.commands import BAD_INPUT, COMMANDS, FAILED, GROUPS, INTERRUPTED, OK
+from capture_sim.base.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK
+from capture_sim.base.version import __version__
+from capture_sim.commands import COMMANDS, GROUPS
 from capture_sim.errors import explain_import_error, one_line
 
 #: Errors that a wrong file, value or device raises, unless they were turned into a line before.
@@ -60,7 +61,7 @@ def command_parser(name: str) -> argparse.ArgumentParser:
 
     Ctrl-C also works while a compiled module is imported.
     """
-    from capture_sim.interrupts import in_worker  # not for --help
+    from capture_sim.base.interrupts import in_worker  # not for --help
 
     command = in_worker(lambda: import_module(f"capture_sim.commands.{name}"))
     parser = _Parser(
@@ -181,7 +182,7 @@ def _complain(text: str) -> None:
 
 
 def _interrupted(state: str = "") -> int:
-    from capture_sim.interrupts import leave_if_busy
+    from capture_sim.base.interrupts import leave_if_busy
 
     _complain(f"interrupted: {state}" if state else "interrupted")
     leave_if_busy(INTERRUPTED)

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from capture_sim.run import Run
-
 
 class CaptureSimError(Exception):
     """Base class of all errors of capture_sim."""
@@ -22,7 +20,7 @@ class SceneError(CaptureSimError):
 
 
 class SimulationError(CaptureSimError):
-    """The integration stopped early; the results up to then are available.
+    """The integration stopped early; the samples up to then are available.
 
     The message names the simulated time, the phase and the cause.
 
@@ -30,11 +28,7 @@ class SimulationError(CaptureSimError):
     ----------
     partial
         Samples of the interrupted call up to the stop, (n,) of dtype SAMPLE.
-    result
-        Run up to the stop, if :func:`capture_sim.simulate` raised the error.
     """
-
-    result: Run | None = None
 
     def __init__(self, message: str, partial: np.ndarray) -> None:
         super().__init__(message)

@@ -12,9 +12,9 @@
 import math
 
 import capture_sim
+from capture_sim.dynamics.model.contact import returned_restitution
 from capture_sim.hardware.law import Walls, Wrench
 from capture_sim.hardware.stage import LoopStage
-from capture_sim.model.contact import returned_restitution
 
 
 def safaeifar(e):

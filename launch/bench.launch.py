@@ -22,7 +22,7 @@ from launch.substitutions import LaunchConfiguration, PythonExpression
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from capture_sim.resources import config_dir
+from capture_sim.base.resources import config_dir
 from launch import LaunchDescription, Substitution
 
 TEXTS = List[str]  # noqa: UP006  # by which launch knows a list

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from capture_sim.launch.interlocks import Sensor
+from capture_sim.detection.measurements import Source
 
 TARGET, STOP, SPEED, DROP, ASIDE = 0.66, 0.2125, 0.105, 0.1, 0.12  # m, m/s
 RETURNED, STROKE, PUSH = 0.4, 0.003, 0.1  # speed after a rebound by that before; m; s
@@ -60,7 +60,7 @@ def stream(
     before=4.0,
     duration=6.0,
 ):
-    """Return (arrival, stamp, values by sensor) in the order of arrival, s, m and rad."""
+    """Return (arrival, stamp, values by source) in the order of arrival, s, m and rad."""
     messages, left, poses, contact = [], 0, None, math.inf
     y = ASIDE if outcome == "missed" else 0.0
     n = round((before + late + duration) * rate)
@@ -87,7 +87,7 @@ def stream(
         stamp = t - step_back * (0.0 <= t - late - 1.0 < 1.0 / rate)
         if measured is not None:
             poses = measured
-            seen = dict(zip((Sensor.CHASER, Sensor.TARGET), measured, strict=True))
+            seen = dict(zip((Source.CHASER, Source.TARGET), measured, strict=True))
             messages += [(t + delays[k], stamp, seen)] * (1 + is_twice[k])
-        messages.append((t + delays[k], t, {Sensor.BUFFER: (-push, 0.0)}))
+        messages.append((t + delays[k], t, {Source.BUFFER: (-push, 0.0)}))
     return sorted(messages, key=lambda message: message[0])

@@ -11,12 +11,12 @@ import math
 
 import numpy as np
 
-from capture_sim.engine import consequences, events, extremes, loop, rail, segment, steps
-from capture_sim.engine.state import NO_EVENT, SCRATCH, STEP, Segment, Status
-from capture_sim.engine.steps import distance_to_edge
-from capture_sim.kernels import Kernel
-from capture_sim.model.contact import COULOMB
-from capture_sim.model.equations import (
+from capture_sim.base.compiled.kernels import Kernel
+from capture_sim.dynamics.engine import consequences, events, extremes, loop, rail, segment, steps
+from capture_sim.dynamics.engine.state import NO_EVENT, SCRATCH, STEP, Segment, Status
+from capture_sim.dynamics.engine.steps import distance_to_edge
+from capture_sim.dynamics.model.contact import COULOMB
+from capture_sim.dynamics.model.equations import (
     N_TOTAL,
     NO_TOUCH,
     Hold,
@@ -24,7 +24,7 @@ from capture_sim.model.equations import (
     rate_of_change,
     tip_in_cone,
 )
-from capture_sim.samples import EventKind
+from capture_sim.dynamics.samples import EventKind
 
 
 def check_touches(w):

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_sim.bench import Bench
-from capture_sim.launch.plan import LaunchPlan, plan_launch
-from capture_sim.launch.scenes import load_scene
-from capture_sim.run import Run
+from capture_sim.dynamics.bench import Bench
+from capture_sim.run.run import Run
+from capture_sim.run.sensors import sensor_series
+from capture_sim.run.series import Series, series_in
+from capture_sim.run.touches import Touches, in_messages, located
+from capture_sim.scene.launch_plan import LaunchPlan, plan_launch
+from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import LoadCell, Scene, Sensors
 from capture_sim.scene.paths import changed
-from capture_sim.sensors import sensor_series
-from capture_sim.series import Series, series_in
-from capture_sim.touches import Touches, in_messages, located
 
 #: What is fitted.
 NAMES = ("c_rr", "e", "mu", "c_A")

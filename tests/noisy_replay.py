@@ -11,7 +11,7 @@ import numpy as np
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.detection.detector import CaptureDetector
 from capture_sim.detection.measurements import Source
-from capture_sim.run import Run
+from capture_sim.run.run import Run
 from capture_sim.scene.parts import Scene
 
 Measurement = tuple[Source, float, tuple[float, ...]]

@@ -13,8 +13,8 @@ import numpy as np
 from maximal_model import MaximalBench, MaximalRun
 
 from capture_sim import SimulationError, simulate
-from capture_sim.run import Run
-from capture_sim.samples import EventKind
+from capture_sim.dynamics.samples import EventKind
+from capture_sim.run.run import Run
 from capture_sim.scene.parts import Scene
 
 DEFAULT, TIGHT = 1e-8, 1e-12

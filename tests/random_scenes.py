@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 
 from capture_sim.errors import SceneError
-from capture_sim.launch.plan import travel_to_touch
-from capture_sim.launch.scenes import load_scene
+from capture_sim.scene.launch_plan import travel_to_touch
+from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import CONTACT_LAWS, Buffer, Initial, PlanarState, Scene
 
 #: Way of the tip to the first touch, m.

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 import capture_sim
-from capture_sim import cli, resources
+from capture_sim import cli
+from capture_sim.base import resources
 from capture_sim.nodes import start
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -167,12 +168,13 @@ def test_all_data_is_installed(data, patterns):
 def test_installed_data_is_found(tmp_path, layout):
     """An installed copy, away from the sources and from sys.prefix, finds its share folder."""
     package = tmp_path / layout / "capture_sim"
-    package.mkdir(parents=True)
-    (package / "__init__.py").touch()
-    (package / "resources.py").write_bytes(Path(resources.__file__).read_bytes())
+    (package / "base").mkdir(parents=True)
+    for folder in (package, package / "base"):
+        (folder / "__init__.py").touch()
+    (package / "base" / "resources.py").write_bytes(Path(resources.__file__).read_bytes())
     for name in ("config", "msg"):
         (tmp_path / "share" / "capture_sim" / name).mkdir(parents=True)
-    script = "from capture_sim import resources as r; print(r.config_dir(), r.message_dir())"
+    script = "from capture_sim.base import resources as r; print(r.config_dir(), r.message_dir())"
     command = [sys.executable, "-c", script]
     found = subprocess.check_output(command, cwd=package.parent, text=True)
     share = tmp_path / "share" / "capture_sim"

@@ -17,12 +17,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch, Rectangle
 
 from capture_sim.detection.criteria import CaptureState
-from capture_sim.launch.scenes import load_scene
-from capture_sim.launch.watch import LauncherPhase
+from capture_sim.launcher.state_machine import LauncherPhase
 from capture_sim.messages import topics
-from capture_sim.run import Run
+from capture_sim.run.run import Run
+from capture_sim.run.simulation import simulate
+from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import Scene
-from capture_sim.simulation import simulate
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import draw_shapes, new_figure, save, subplots
 from capture_sim.viewing.shapes import CHASER, TARGET, state_shapes

@@ -19,12 +19,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc
 from PIL import Image
 
-from capture_sim.files import whole_file
-from capture_sim.launch.scenes import load_scene
-from capture_sim.results import first_touch
-from capture_sim.run import Run
+from capture_sim.base.files import whole_file
+from capture_sim.run.first_contact import first_touch
+from capture_sim.run.run import Run
+from capture_sim.run.simulation import simulate
+from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import Scene
-from capture_sim.simulation import simulate
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import draw_shapes, dress, new_figure, save
 from capture_sim.viewing.curves import FORCE, PlottedRun, plotted_runs, time_label

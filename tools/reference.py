@@ -16,13 +16,12 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from capture_sim.files import whole_file
-from capture_sim.launch.scenes import load_scene
-from capture_sim.model.contact import NEED_POSITIVE_RESTITUTION
+from capture_sim.base.files import whole_file
+from capture_sim.run.simulation import simulate
 from capture_sim.scene.files import scene_names
-from capture_sim.scene.parts import CONTACT_LAWS, Scene
+from capture_sim.scene.loading import load_scene
+from capture_sim.scene.parts import CONTACT_LAWS, NEED_POSITIVE_RESTITUTION, Scene
 from capture_sim.scene.quantities import Declared, declared
-from capture_sim.simulation import simulate
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import draw_shapes, save, subplots
 from capture_sim.viewing.curves import HOLDS, plotted_runs, split

@@ -48,7 +48,7 @@ types = [t for t in vars(capture_sim.msg).values() if isinstance(t, type)]
 print(sum(len(serialize_message(t())) > 0 for t in types), "messages work")
 """
 
-COMPILE_KERNELS = "from capture_sim.bench import compile_kernels; compile_kernels()"
+COMPILE_KERNELS = "from capture_sim.dynamics.compilation import compile_kernels; compile_kernels()"
 
 
 class SetupError(Exception):

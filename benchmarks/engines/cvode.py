@@ -23,8 +23,14 @@ from numba import carray, cfunc, njit
 from benchmarks.engines.own import packed
 from benchmarks.engines.textbook import JUST_OFF, wall_gap
 from benchmarks.trial import TOUCHED, Outcome
-from capture_sim.bench import error_scale
-from capture_sim.model.equations import N_STATE, N_TOTAL, SYSTEM, make_system, rate_of_change
+from capture_sim.dynamics.bench import error_scale
+from capture_sim.dynamics.model.equations import (
+    N_STATE,
+    N_TOTAL,
+    SYSTEM,
+    make_system,
+    rate_of_change,
+)
 from capture_sim.scene.parts import Scene
 
 #: CVODE's linear multistep methods, by its own numbers.

@@ -24,8 +24,8 @@ import numpy as np
 from exudyn import itemInterface as items  # noqa: N813
 
 from benchmarks.trial import Outcome, Trial
-from capture_sim.launch.scenes import load_scene
-from capture_sim.resources import config_dir
+from capture_sim.base.resources import config_dir
+from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import Scene
 
 REFERENCE = "_clamp"  # what the reference's name ends with, friction by clamp

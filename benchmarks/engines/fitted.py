@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from benchmarks.engines.own import with_run
-from capture_sim.bench import Bench
-from capture_sim.samples import EventKind
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.samples import EventKind
 from capture_sim.scene.parts import Scene
 
 THICKNESS = 0.01  # m, half that of a wall, behind its face

@@ -1,7 +1,8 @@
 """The bench's equations in NumPy, as a user of SciPy would write them down.
 
 Vectors and Jacobians straight from the paper's eq. (1) to (9), body by body; it shares no code with
-:mod:`capture_sim.model`.  The same text runs in extended precision, which is how the references in
+:mod:`capture_sim.dynamics.model`.  The same text runs in extended precision, which is how the
+references in
 ``benchmarks/references`` are made.
 """
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.trial import TOUCHED, Outcome
-from capture_sim.bench import Bench
-from capture_sim.launch.plan import plan_launch
-from capture_sim.model.parameters import pack
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.model.parameters import pack
+from capture_sim.scene.launch_plan import plan_launch
 from capture_sim.scene.parts import Scene
 
 

@@ -21,9 +21,9 @@ from scipy.integrate import solve_ivp
 from benchmarks.engines.model import Model
 from benchmarks.engines.own import packed
 from benchmarks.trial import TOUCHED, Outcome
-from capture_sim.engine import loop
-from capture_sim.kernels import entry_kernel
-from capture_sim.model.equations import (
+from capture_sim.base.compiled.kernels import entry_kernel
+from capture_sim.dynamics.engine import loop
+from capture_sim.dynamics.model.equations import (
     N_STATE,
     N_TOTAL,
     NO_TOUCH,
@@ -50,7 +50,7 @@ def gap_of_wall(parameters, y, side):
 
 
 class CompiledProblem:
-    """The engine's own right-hand side, :func:`capture_sim.engine.loop.evaluate`.
+    """The engine's own right-hand side, :func:`capture_sim.dynamics.engine.loop.evaluate`.
 
     What an integrator needs to know of the bench, as :class:`benchmarks.engines.model.Model` has it
     in NumPy; walls are 0: +y, 1: -y.

@@ -18,9 +18,9 @@ from scipy.integrate._ivp import dop853_coefficients as table
 
 from benchmarks.engines.own import packed
 from benchmarks.trial import TOUCHED, Outcome
-from capture_sim.bench import error_scale
-from capture_sim.kernels import entry_kernel, kernel
-from capture_sim.model.equations import (
+from capture_sim.base.compiled.kernels import entry_kernel, kernel
+from capture_sim.dynamics.bench import error_scale
+from capture_sim.dynamics.model.equations import (
     N_STATE,
     N_TOTAL,
     gap_and_rate,

@@ -3,12 +3,14 @@
 A command's module has ``DESCRIPTION``, ``EXAMPLE``, ``add_arguments(parser)`` and
 ``run(options)``, which returns the exit status.  It is imported only when the command is called,
 so it may import all it needs at its top.
+
+Takes: Arguments of the command line.
+Gives: Lines, tables and files, and an exit status (``base/exit_status.py``).
+Must not know: ROS and the nodes' code: it starts them as processes (``suite.py``).
+Begin with: ``run.py``.
 """
 
 from __future__ import annotations
-
-#: Exit statuses: success, negative result, bad input, interrupted.
-OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 #: Groups of commands with one line each, as ``capture-sim --help`` lists them.
 GROUPS = {

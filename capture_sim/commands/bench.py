@@ -6,14 +6,14 @@ import argparse
 import re
 from pathlib import Path
 
-from capture_sim.commands import FAILED
+from capture_sim.base.exit_status import FAILED
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_experiments, load_all, number, prepare_folder, reader
 from capture_sim.commands.output import IMAGES_MISSING, reported_if_interrupted, warn
 from capture_sim.commands.results_folder import Recorded, ResultsFolder
-from capture_sim.control.pacing import FACTORS
-from capture_sim.nodes.supervisor import check_ros, run_suite
+from capture_sim.commands.suite import check_ros, run_suite
 from capture_sim.recording.read import read_run
+from capture_sim.scene.quantities import REAL_TIME_FACTORS
 
 DESCRIPTION = (
     "Run scenes with the ROS 2 nodes, one process each; record, tabulate and draw the results."
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_experiments(parser)
     parser.add_argument(
         "--rtf",
-        type=number(FACTORS),
+        type=number(REAL_TIME_FACTORS),
         default=0.0,
         metavar="FACTOR",
         help="set the real-time factor, up to 1000; 0 runs without pacing (default: 0)",

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from capture_sim.commands import FAILED, OK
+from capture_sim.base.exit_status import FAILED, OK
+from capture_sim.base.software import software_versions
+from capture_sim.base.tables import print_table
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_geometry,
@@ -22,8 +24,8 @@ from capture_sim.commands.inputs import (
 )
 from capture_sim.commands.output import drawing, echo
 from capture_sim.errors import RecordingError
-from capture_sim.run import Run
-from capture_sim.software import software_versions
+from capture_sim.run.run import Run
+from capture_sim.run.touches import Touches
 from capture_sim.studies.agreement import Agreement, agreement
 from capture_sim.studies.compare import (
     LEAST,
@@ -35,8 +37,6 @@ from capture_sim.studies.compare import (
     pair_touches,
     sides,
 )
-from capture_sim.tables import print_table
-from capture_sim.touches import Touches
 
 DESCRIPTION = (
     "Compare two runs, e.g. measured and simulated, aligned at their first contacts: strokes and "
@@ -117,7 +117,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _simulated(run: Run) -> Run:
     """Return the scene of a run, simulated."""
-    from capture_sim.simulation import simulate
+    from capture_sim.run.simulation import simulate
 
     compile_first()
     return simulate(run.scene)

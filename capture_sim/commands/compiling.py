@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from functools import partial
 
-from capture_sim.bench import compile_kernels
+from capture_sim.base.compiled.kernels import is_compiled
+from capture_sim.base.compiled.progress import watch_compilation
 from capture_sim.commands.output import Progress, echo
-from capture_sim.compile_progress import watch_compilation
-from capture_sim.kernels import is_compiled
+from capture_sim.dynamics.compilation import compile_kernels
 
 
 def compile_first() -> None:

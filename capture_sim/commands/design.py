@@ -11,7 +11,8 @@ from typing import Any, Self
 
 from rich.console import Console
 
-from capture_sim.commands import FAILED, OK
+from capture_sim.base.exit_status import FAILED, OK
+from capture_sim.base.tables import print_table
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_limits,
@@ -37,7 +38,7 @@ from capture_sim.commands.output import (
     write_text,
 )
 from capture_sim.errors import SceneError
-from capture_sim.results import LOADS, implausible_stroke
+from capture_sim.run.loads import LOADS, implausible_stroke
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range
 from capture_sim.studies.design import (
@@ -61,7 +62,6 @@ from capture_sim.studies.paper_flow import (
     design_first_contact,
     with_buffer,
 )
-from capture_sim.tables import print_table
 
 DESCRIPTION = (
     "Find the buffer that captures within limits with the least peak force. If none does, print "

@@ -7,13 +7,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import fields
 
-from capture_sim.commands import FAILED, OK
+from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.commands.inputs import add_geometry, add_remaps, open_run
 from capture_sim.commands.output import echo
 from capture_sim.detection.criteria import CaptureStatus
-from capture_sim.detection.recorded import TICK, with_criteria
 from capture_sim.errors import SceneError, one_line
-from capture_sim.run import detect
+from capture_sim.run.run import detect
+from capture_sim.run.verdict import TICK, with_criteria
 from capture_sim.scene.parts import Detector
 
 # s: a bench's messages reach detector and recorder in different orders

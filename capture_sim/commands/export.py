@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from capture_sim.commands import OK
+from capture_sim.base.exit_status import OK
 from capture_sim.commands.inputs import add_remaps, is_bag, open_bag, prepare_folder
 from capture_sim.commands.output import echo, warn
 from capture_sim.errors import RecordingError

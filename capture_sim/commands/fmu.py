@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from capture_sim.commands import OK
+from capture_sim.base.exit_status import OK
+from capture_sim.base.files import is_device, why_no_file, why_not_writable
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_overrides, load
 from capture_sim.commands.output import echo
 from capture_sim.errors import SceneError
-from capture_sim.files import is_device, why_no_file, why_not_writable
 from capture_sim.fmu.description import write_fmu
 from capture_sim.fmu.library import make_unit, write_library
 

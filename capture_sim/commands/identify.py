@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import math
 
-from capture_sim.commands import FAILED, OK
+from capture_sim.base.exit_status import FAILED, OK
+from capture_sim.base.tables import print_table
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_geometry,
@@ -17,10 +18,9 @@ from capture_sim.commands.inputs import (
     whole,
 )
 from capture_sim.commands.output import echo
-from capture_sim.run import Release
+from capture_sim.run.origin import Release
 from capture_sim.scene.paths import ALIASES, value_of
 from capture_sim.studies.identify import RELEASE, identify, is_explained
-from capture_sim.tables import print_table
 
 #: Standard deviations of a touch's time, s, and peak force, N, where no sampled force shows them.
 TOUCH_NOISE = (2e-4, 2.0)

@@ -13,11 +13,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from capture_sim.base.files import why_not_writable
 from capture_sim.commands.output import echo, warn
 from capture_sim.errors import RecordingError, SceneError
-from capture_sim.files import why_not_writable
-from capture_sim.launch.scenes import load_scene, load_scene_text
 from capture_sim.scene.files import MAX_TEXT, parse, scene_names
+from capture_sim.scene.loading import load_scene, load_scene_text
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import NOT_NEGATIVE, POSITIVE, Range
 from capture_sim.scene.units import comma_hint, in_si, split
@@ -25,7 +25,7 @@ from capture_sim.viewing.source import distinct_names
 
 if TYPE_CHECKING:
     from capture_sim.recording.bag import Bag
-    from capture_sim.run import Run
+    from capture_sim.run.run import Run
 
 Read = TypeVar("Read")
 Number = TypeVar("Number", int, float)
@@ -572,7 +572,7 @@ def _opened(source: str, scene: str | None, release: float | None, remaps: Seque
 
 def _simulated(name: str) -> Run:
     from capture_sim.commands.compiling import compile_first
-    from capture_sim.simulation import simulate
+    from capture_sim.run.simulation import simulate
 
     try:
         scene = load_scene(name)

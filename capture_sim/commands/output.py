@@ -22,13 +22,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from rich.console import Console
 
+from capture_sim.base.files import whole_file
 from capture_sim.errors import one_line
-from capture_sim.files import whole_file
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-    from capture_sim.run import Run
+    from capture_sim.run.run import Run
 
 #: Plot of several runs side by side.
 OVERVIEW = "overview.png"

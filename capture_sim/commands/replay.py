@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from capture_sim.commands.inputs import add_remaps, folder_beside, number, prepare_folder
-from capture_sim.control.pacing import FACTORS
+from capture_sim.commands.suite import replay
 from capture_sim.errors import RecordingError
-from capture_sim.nodes.supervisor import replay
 from capture_sim.recording.bag import remap_of
 from capture_sim.recording.playback import Playback
-from capture_sim.scene.quantities import Range
+from capture_sim.scene.quantities import REAL_TIME_FACTORS, Range
 
 DESCRIPTION = (
     "Publish the recorded messages with ROS 2, unchanged and with their timing, in the "
@@ -29,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", metavar="RUN.mcap", help="file, or folder of a bag")
     parser.add_argument(
         "--rtf",
-        type=number(FACTORS),
+        type=number(REAL_TIME_FACTORS),
         default=1.0,
         metavar="FACTOR",
         help="set the real-time factor, up to 1000; 0 plays without pacing (default: 1)",

@@ -6,7 +6,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from capture_sim.commands import OK
+from capture_sim.base.exit_status import OK
 from capture_sim.commands.inputs import add_runs, folder_beside, open_runs, prepare_folder
 from capture_sim.commands.output import Progress, echo, reported_if_interrupted
 

@@ -24,13 +24,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from capture_sim.base.files import free_path
 from capture_sim.commands.output import draw, echo, warn, write_json, write_text
 from capture_sim.errors import CaptureSimError, one_line
-from capture_sim.files import free_path
-from capture_sim.results import NOT_NUMBERS, RECORDING, row_from, row_without_results, table
+from capture_sim.run.summary import NOT_NUMBERS, RECORDING, row_from, row_without_results
+from capture_sim.run.summary_table import table
 
 if TYPE_CHECKING:
-    from capture_sim.run import Run
+    from capture_sim.run.run import Run
 
 NUMBERS = "results.json"
 TABLE = "results.txt"

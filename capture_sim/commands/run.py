@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 
-from capture_sim.commands import FAILED, OK
+from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_experiments, load_all, prepare_folder
 from capture_sim.commands.output import (
@@ -15,10 +15,9 @@ from capture_sim.commands.output import (
     warn,
 )
 from capture_sim.commands.results_folder import Recorded, ResultsFolder
-from capture_sim.errors import SimulationError
-from capture_sim.launch.scenes import overridden_name
-from capture_sim.results import implausible_stroke
-from capture_sim.simulation import simulate
+from capture_sim.run.loads import implausible_stroke
+from capture_sim.run.simulation import RunError, simulate
+from capture_sim.scene.loading import overridden_name
 
 DESCRIPTION = "Run scenes without ROS; record, tabulate and draw the results."
 EXAMPLE = "  capture-sim run tilt_0 tilt_p10 --set buffer.c_A=20 --out runs"
@@ -53,10 +52,10 @@ def run(options: argparse.Namespace) -> int:
         for scene in scenes:
             try:
                 result = simulate(scene)
-            except SimulationError as error:
+            except RunError as error:
                 warn(str(error))
                 status = FAILED
-                if error.result is None or error.result.samples.size == 0:
+                if error.result.samples.size == 0:
                     continue
                 result = error.result
             if text := implausible_stroke(scene, result.summary["max_axial_stroke_in"]):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import dataclasses
 
-from capture_sim.commands import OK
+from capture_sim.base.exit_status import OK
 from capture_sim.commands.output import echo
-from capture_sim.launch.scenes import load_scene
 from capture_sim.scene.files import scene_names
+from capture_sim.scene.loading import load_scene
 from capture_sim.scene.template import template
 
 DESCRIPTION = "List the scenes of the package, or print a template for a scene of your own."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from capture_sim.commands import OK
+from capture_sim.base.exit_status import OK
 from capture_sim.commands.inputs import add_overrides, load
 
 DESCRIPTION = "Print a scene with all its values as YAML."

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capture_sim.commands import INTERRUPTED, OK
+from capture_sim.base.exit_status import INTERRUPTED, OK
+from capture_sim.base.interrupts import terminated_as_interrupted
+from capture_sim.base.tables import print_table
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_limits,
@@ -26,9 +28,8 @@ from capture_sim.commands.inputs import (
 )
 from capture_sim.commands.output import Progress, drawing, echo, warn
 from capture_sim.errors import SceneError
-from capture_sim.interrupts import terminated_as_interrupted
 from capture_sim.recording.sweep_file import check_format, read_cases, write_sweep
-from capture_sim.results import LOADS, implausible_stroke, plausible_stroke
+from capture_sim.run.loads import LOADS, implausible_stroke, plausible_stroke
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.axes import FAMILIAR
 from capture_sim.studies.dispersion import (
@@ -63,7 +64,6 @@ from capture_sim.studies.sweep import (
     run_samples,
     samples_of,
 )
-from capture_sim.tables import print_table
 
 if TYPE_CHECKING:
     import pandas

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from capture_sim.commands import OK
+from capture_sim.base.exit_status import OK
 from capture_sim.commands.inputs import (
     add_runs,
     folder_beside,
@@ -21,7 +21,7 @@ from capture_sim.commands.output import (
     reported_if_interrupted,
 )
 from capture_sim.errors import RecordingError
-from capture_sim.run import Run
+from capture_sim.run.run import Run
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.curves import plotted_runs
 from capture_sim.viewing.figures import pictures_of

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.kernels import kernel
-from capture_sim.model.geometry import nearest_on_wall
-from capture_sim.samples import Named
+from capture_sim.base.compiled.kernels import kernel
+from capture_sim.dynamics.samples import Named
+from capture_sim.scene.geometry import nearest_on_wall
 from capture_sim.scene.parts import Scene
 
 #: Standard deviations by which a decision must hold,

@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from statistics import mean
 from types import SimpleNamespace
 
+from capture_sim.base.compiled.kernels import plain
 from capture_sim.detection.align import Aligner, Observation
 from capture_sim.detection.clocks import MAX_OFFSET, WARN_OFFSET, ClockOffsets
 from capture_sim.detection.criteria import (
@@ -43,9 +44,8 @@ from capture_sim.detection.measurements import (
 )
 from capture_sim.detection.noise import NoiseEstimate, third_difference
 from capture_sim.detection.smoother import MeasuredTip, TipPath
-from capture_sim.kernels import plain
-from capture_sim.model.equations import tip_motion
-from capture_sim.model.trig import wrapped_angle
+from capture_sim.dynamics.model.trig import wrapped_angle
+from capture_sim.scene.geometry import tip_motion
 from capture_sim.scene.parts import Scene
 
 #: Number of measurements of the buffer that are averaged if a single one is too noisy.

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from capture_sim.base.compiled.kernels import entry_kernel, plain, records
 from capture_sim.detection.criteria import (
     MEMORY,
     CaptureState,
@@ -24,9 +25,8 @@ from capture_sim.detection.criteria import (
     note_push,
     reason,
 )
-from capture_sim.kernels import entry_kernel, plain, records
-from capture_sim.model.equations import tip_in_cone
-from capture_sim.model.trig import wrapped_angle
+from capture_sim.dynamics.model.equations import tip_in_cone
+from capture_sim.dynamics.model.trig import wrapped_angle
 from capture_sim.scene.parts import Scene
 
 _STATES = tuple(CaptureState)

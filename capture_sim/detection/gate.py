@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from capture_sim.detection.measurements import Counts, Reason, Source, Values
 from capture_sim.detection.noise import NoiseEstimate, Resolution, third_difference
-from capture_sim.launch.plan import plan_launch
+from capture_sim.scene.launch_plan import plan_launch
 from capture_sim.scene.parts import Scene
 
 #: Largest innovation in standard deviations.

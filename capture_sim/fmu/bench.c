@@ -9,7 +9,7 @@
 /* Times that are not farther apart are one, s: those of a host are sums of steps. */
 #define CS_SAME_TIME 1e-11
 
-/* The compiled kernel, engine/loop.py: advance. Numba passes the result and an exception's place
+/* The compiled kernel, dynamics/engine/loop.py: advance. Numba passes the result and an exception's place
    first; a status other than 0 is an exception, which no kernel raises. */
 extern int capture_sim_advance(int64_t *count, void **exception, void *workspace,
                                const double *times, int64_t n_times, void *samples, void *trace,

@@ -9,8 +9,8 @@ import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
 
-from capture_sim import __version__
-from capture_sim.files import whole_file
+from capture_sim.base.files import whole_file
+from capture_sim.base.version import __version__
 from capture_sim.fmu.library import Unit, link, write_sources
 from capture_sim.fmu.variables import Kind, Variable
 

@@ -13,15 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from capture_sim import __version__
-from capture_sim.bench import CAUSES, Bench
+from capture_sim.base.files import whole_file
+from capture_sim.base.version import __version__
 from capture_sim.detection.criteria import MEMORY, Criteria, new_memory
 from capture_sim.detection.exact import ROW
-from capture_sim.engine.state import EVENT, WORKSPACE, Status
-from capture_sim.files import whole_file
+from capture_sim.dynamics.bench import CAUSES, Bench
+from capture_sim.dynamics.engine.state import EVENT, WORKSPACE, Status
+from capture_sim.dynamics.samples import SAMPLE, EventKind
 from capture_sim.fmu.machine_code import ENTRIES, FmuError, instructions, machine_code
 from capture_sim.fmu.variables import Variable, inputs, offset_of, outputs, parameters
-from capture_sim.samples import SAMPLE, EventKind
 from capture_sim.scene.parts import Scene
 
 _SOURCES = Path(__file__).resolve().parent

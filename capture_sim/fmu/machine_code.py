@@ -16,10 +16,10 @@ import numpy as np
 from numba import carray, cfunc, types
 
 from capture_sim.detection import criteria, exact
-from capture_sim.engine import loop
-from capture_sim.engine.state import WORKSPACE
+from capture_sim.dynamics.engine import loop
+from capture_sim.dynamics.engine.state import WORKSPACE
+from capture_sim.dynamics.samples import SAMPLE
 from capture_sim.errors import CaptureSimError
-from capture_sim.samples import SAMPLE
 
 #: Functions of C: see :func:`_advance` and :func:`_detect`.
 ENTRIES = ("capture_sim_advance", "capture_sim_detect")

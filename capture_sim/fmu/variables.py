@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from capture_sim.detection.criteria import MEMORY, CaptureState
-from capture_sim.engine.state import WORKSPACE
-from capture_sim.samples import SAMPLE, Phase, columns_of, unit_of_column
+from capture_sim.dynamics.engine.state import WORKSPACE
+from capture_sim.dynamics.samples import SAMPLE, Phase, columns_of, unit_of_column
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import ANY, Range, declared
 

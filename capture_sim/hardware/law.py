@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.kernels import entry_kernel, plain
-from capture_sim.model.contact import (
+from capture_sim.base.compiled.kernels import entry_kernel, plain
+from capture_sim.dynamics.model.contact import (
     TANH,
     friction_coefficient,
     normal_force,
     returned_restitution,
 )
-from capture_sim.model.geometry import nearest_on_wall
+from capture_sim.scene.geometry import nearest_on_wall
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range, quantity
 

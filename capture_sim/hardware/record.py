@@ -11,15 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from capture_sim.bench import joined
+from capture_sim.base.software import software_versions
+from capture_sim.dynamics.memory import joined
+from capture_sim.dynamics.samples import Event, EventKind, Phase
 from capture_sim.hardware.law import TipState, Walls
 from capture_sim.hardware.stage import LoopStage
-from capture_sim.measured import touches_in_samples
-from capture_sim.results import sampled_extremes
-from capture_sim.run import Origin, Run
-from capture_sim.samples import Event, EventKind, Phase
+from capture_sim.run.loads import sampled_extremes
+from capture_sim.run.origin import Origin
+from capture_sim.run.reconstruction import touches_in_samples
+from capture_sim.run.run import Run
 from capture_sim.scene.parts import PlanarState, Scene
-from capture_sim.software import software_versions
 
 #: Events of the stage that its record keeps; the touches of a law are found as those of a rig.
 _KEPT = {

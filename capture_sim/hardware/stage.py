@@ -8,15 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.bench import Bench, Checkpoint
+from capture_sim.base.compiled.kernels import plain
+from capture_sim.base.interrupts import in_worker
+from capture_sim.dynamics.bench import Bench, Checkpoint
+from capture_sim.dynamics.samples import Event, EventKind
 from capture_sim.errors import CaptureSimError, SceneError, SimulationError
 from capture_sim.hardware.law import NO_LAW, NO_WRENCH, TipState, WallLaw, Wrench
-from capture_sim.interrupts import in_worker
-from capture_sim.kernels import plain
-from capture_sim.model.equations import tip_motion
-from capture_sim.samples import Event, EventKind
+from capture_sim.run.simulation import simulate
+from capture_sim.scene.geometry import tip_motion
 from capture_sim.scene.parts import Scene
-from capture_sim.simulation import simulate
 
 #: Samples of a step, from which forces and energy within it are read.
 N_SAMPLES = 10

@@ -18,18 +18,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from capture_sim.base.software import scene_hash, software_versions
 from capture_sim.detection.measurements import Counts, Reason, Source
+from capture_sim.dynamics.samples import SAMPLE, TRACE, Event, Phase
 from capture_sim.errors import MessageError
 from capture_sim.messages.cdr import Columns, Template, fill
 from capture_sim.messages.definitions import blank, typestore
 from capture_sim.messages.topics import RunSource
-from capture_sim.samples import SAMPLE, TRACE, Event, Phase
-from capture_sim.software import scene_hash, software_versions
 
 if TYPE_CHECKING:
     from capture_sim.detection.criteria import CaptureStatus
-    from capture_sim.launch.plan import LaunchPlan
-    from capture_sim.launch.watch import LauncherStatus
+    from capture_sim.launcher.state_machine import LauncherStatus
+    from capture_sim.scene.launch_plan import LaunchPlan
     from capture_sim.scene.parts import Detector, Scene
 
 #: Stamp of the release, t = 0, in ns.

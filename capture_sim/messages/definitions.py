@@ -13,11 +13,11 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from capture_sim.base.resources import message_dir
 from capture_sim.errors import MessageError
 from capture_sim.messages.cdr import NUMBERS
 from capture_sim.messages.standard import STANDARD
 from capture_sim.messages.topics import Topic
-from capture_sim.resources import message_dir
 
 _PACKAGE = "capture_sim"
 #: Errors of a text that defines no message type.

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from capture_sim.dynamics.samples import SAMPLE, Event, EventKind
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages import convert, topics
 from capture_sim.messages.cdr import Columns
@@ -29,11 +30,10 @@ from capture_sim.messages.convert import (
     RunDescription,
 )
 from capture_sim.messages.topics import Stamp, Topic
-from capture_sim.samples import SAMPLE, Event, EventKind
-from capture_sim.sensors import SimulatedSensors
+from capture_sim.run.sensors import SimulatedSensors
 
 if TYPE_CHECKING:
-    from capture_sim.launch.plan import LaunchPlan
+    from capture_sim.scene.launch_plan import LaunchPlan
     from capture_sim.scene.parts import Detector, Scene
 
 

@@ -22,13 +22,14 @@ from capture_sim.messages.measurements import (
 )
 from capture_sim.messages.telemetry import DetectorTelemetry
 from capture_sim.messages.topics import CAPTURE_DETECTOR, RunSource, Topic, topics_of
-from capture_sim.nodes.diagnostics import Level, Status
-from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd, RunPart
-from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.parameters import ParameterError, declare_scene
-from capture_sim.nodes.process import run
-from capture_sim.nodes.roll import RunReport
-from capture_sim.nodes.sources import SourceDiagnostics
+from capture_sim.nodes.base.diagnostics import Level, Status
+from capture_sim.nodes.base.node import BenchNode
+from capture_sim.nodes.base.parameters import ParameterError, declare_scene
+from capture_sim.nodes.base.process import run
+from capture_sim.nodes.base.sources import SourceDiagnostics
+from capture_sim.nodes.protocol.ends import RunEnd
+from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
+from capture_sim.nodes.protocol.roll import RunReport
 from capture_sim.scene.parts import Detector
 
 #: A trial begins without measurements after this long, s (wall), e.g. where cameras see the cone

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from capture_sim.base.exit_status import OK
 from capture_sim.hardware.law import WallLaw
 from capture_sim.hardware.messages import (
     CONTACT_RIG,
@@ -17,10 +18,9 @@ from capture_sim.hardware.messages import (
     wrench_message,
 )
 from capture_sim.hardware.rig import IDEAL, Cell, Rig, Servo, Transport
-from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.parameters import declare_scene
-from capture_sim.nodes.process import run
-from capture_sim.nodes.start import OK
+from capture_sim.nodes.base.node import BenchNode
+from capture_sim.nodes.base.parameters import declare_scene
+from capture_sim.nodes.base.process import run
 
 
 class ContactRigNode(BenchNode):

@@ -7,15 +7,15 @@ from typing import Any
 
 from rclpy.parameter import Parameter
 
-from capture_sim.files import why_no_folder
-from capture_sim.launch.interlocks import TrialLimits
-from capture_sim.launch.watch import LaunchSettings
+from capture_sim.base.files import why_no_folder
+from capture_sim.launcher.state_machine import LaunchSettings
 from capture_sim.messages.topics import LAUNCHER
-from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.parameters import ParameterError, declare_scene
-from capture_sim.nodes.process import run
-from capture_sim.nodes.simulated_launch import SimulatedLaunch
-from capture_sim.nodes.trial_server import TrialServer, TrialSettings
+from capture_sim.nodes.base.node import BenchNode
+from capture_sim.nodes.base.parameters import ParameterError, declare_scene
+from capture_sim.nodes.base.process import run
+from capture_sim.nodes.simulation.launch import SimulatedLaunch
+from capture_sim.nodes.trials.server import TrialServer, TrialSettings
+from capture_sim.trial.interlocks import TrialLimits
 
 #: Parameters of :class:`LaunchSettings`, by field.
 SETTINGS = {"tolerance": "speed_tolerance", "aborts": "abort_on_deviation"}

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from capture_sim.base.exit_status import FAILED, OK
+from capture_sim.base.files import why_no_file, why_not_writable
 from capture_sim.errors import CaptureSimError, MessageError, RecordingError
-from capture_sim.files import why_no_file, why_not_writable
 from capture_sim.hardware.guard import Limits
 from capture_sim.hardware.law import TipState, WallLaw, Wrench
 from capture_sim.hardware.loop import MAX_START_DISTANCE, METHODS, N_AT_REST, Loop
@@ -35,13 +36,12 @@ from capture_sim.hardware.record import LoopRecord
 from capture_sim.hardware.report import Timing, report_of, summary
 from capture_sim.hardware.stage import LoopStage, SafeStopError
 from capture_sim.messages.topics import Topic
-from capture_sim.nodes.endpoints import message_class
-from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.parameters import declare_scene
-from capture_sim.nodes.process import run
-from capture_sim.nodes.start import FAILED, OK
+from capture_sim.nodes.base.endpoints import message_class
+from capture_sim.nodes.base.node import BenchNode
+from capture_sim.nodes.base.parameters import declare_scene
+from capture_sim.nodes.base.process import run
 from capture_sim.recording.offline import write_run
-from capture_sim.simulation import check_memory
+from capture_sim.run.simulation import check_memory
 
 #: The tip's first position is sent this often, s (wall).
 FIRST_POSE_PERIOD = 0.005

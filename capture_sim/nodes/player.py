@@ -9,8 +9,7 @@ from typing import Any
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
-from capture_sim.control.pacing import FACTORS, Pacer
-from capture_sim.control.simulation import SimulationControl, State
+from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.messages.topics import (
     CAPTURE_DETECTOR,
     HOLD,
@@ -23,15 +22,17 @@ from capture_sim.messages.topics import (
     topic_named,
     topics_of,
 )
-from capture_sim.nodes.announcer import Announcer
-from capture_sim.nodes.endpoints import message_class
-from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.parameters import ParameterError
-from capture_sim.nodes.process import run as run_process
-from capture_sim.nodes.roll import Roll, has_streams
-from capture_sim.nodes.start import FAILED, OK
+from capture_sim.nodes.base.endpoints import message_class
+from capture_sim.nodes.base.node import BenchNode
+from capture_sim.nodes.base.parameters import ParameterError
+from capture_sim.nodes.base.process import run as run_process
+from capture_sim.nodes.protocol.announcer import Announcer
+from capture_sim.nodes.protocol.roll import Roll, has_streams
+from capture_sim.nodes.simulation.control import SimulationControl, State
+from capture_sim.nodes.simulation.pacing import Pacer
 from capture_sim.recording.bag import remap_of
 from capture_sim.recording.playback import Playback, PlayedCounts, publisher_of, replayed
+from capture_sim.scene.quantities import REAL_TIME_FACTORS
 
 #: Nodes of the suite that can take part.
 ROLES = (CAPTURE_DETECTOR, RECORDER)
@@ -56,8 +57,8 @@ class PlayerNode(BenchNode):
             "rtf",
             1.0,
             "real-time factor: recorded seconds per second; 0 plays without pacing",
-            low=FACTORS.low,
-            high=FACTORS.high,
+            low=REAL_TIME_FACTORS.low,
+            high=REAL_TIME_FACTORS.high,
         )
         self._offset = self.declare(
             "start", 0.0, "s after the recording's start, to begin at", low=0.0, high=1e9
@@ -108,7 +109,7 @@ class PlayerNode(BenchNode):
             self.create_service(Trigger, f"~/{name}", self.guarded(serve))
         self._not_installed: list[str] = []  # a line for each topic
         self._outlets: dict[str, Callable[[Any], object]] = {}
-        # the announcement last, see nodes/roll.py
+        # the announcement last, see nodes/protocol/roll.py
         for name in sorted(self._played, key=lambda name: topic_named(name) is RUN_INFO):
             self._open(name, self._playback.types[name])
         self._roll = Roll(self, PLAYER, on_part=lambda part: self._announcer.check_part(part))

@@ -12,8 +12,9 @@ from ament_index_python.packages import get_package_share_directory
 from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import serialize_message
 
+from capture_sim.base.exit_status import RECORDING_IN
+from capture_sim.base.files import why_not_writable
 from capture_sim.errors import MessageError, RecordingError, one_line
-from capture_sim.files import why_not_writable
 from capture_sim.messages.definitions import learn_type
 from capture_sim.messages.topics import (
     CAPTURE_DETECTOR,
@@ -28,13 +29,13 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.endpoints import TRANSIT_TIME, from_bytes, is_own
-from capture_sim.nodes.follower import AnnouncedRun, EndKind, Follower, RunEnd, RunPart
-from capture_sim.nodes.node import LOOK_UP_PERIOD, BenchNode
-from capture_sim.nodes.process import run
-from capture_sim.nodes.roll import RunReport
-from capture_sim.nodes.sources import SourceDiagnostics
-from capture_sim.nodes.start import RECORDING_IN
+from capture_sim.nodes.base.endpoints import TRANSIT_TIME, from_bytes, is_own
+from capture_sim.nodes.base.node import LOOK_UP_PERIOD, BenchNode
+from capture_sim.nodes.base.process import run
+from capture_sim.nodes.base.sources import SourceDiagnostics
+from capture_sim.nodes.protocol.ends import EndKind, RunEnd
+from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
+from capture_sim.nodes.protocol.roll import RunReport
 from capture_sim.recording.live import LiveRecorder, RecordingReport
 
 #: What is recorded later too: the last messages of the participants.

@@ -11,25 +11,27 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-from capture_sim.bench import compile_kernels
-from capture_sim.compile_progress import watch_compilation
-from capture_sim.control.pacing import FACTORS, Pacer
-from capture_sim.control.simulation import CutKind, SimulationControl, State
+from capture_sim.base.compiled.kernels import is_compiled
+from capture_sim.base.compiled.progress import watch_compilation
+from capture_sim.base.exit_status import FAILED
+from capture_sim.base.files import why_no_folder
+from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.errors import CaptureSimError
-from capture_sim.files import why_no_folder
-from capture_sim.kernels import is_compiled
-from capture_sim.launch.plan import plan_launch
-from capture_sim.launch.scenes import load_requested, load_scene
 from capture_sim.messages.topics import (
     SIMULATOR,
 )
-from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.parameters import ParameterError
-from capture_sim.nodes.process import run
-from capture_sim.nodes.services import SimulationServices
-from capture_sim.nodes.simulated_runs import RunOutcome, SimulatedRuns
-from capture_sim.nodes.start import FAILED
+from capture_sim.nodes.base.node import BenchNode
+from capture_sim.nodes.base.parameters import ParameterError
+from capture_sim.nodes.base.process import run
+from capture_sim.nodes.protocol.ends import CutKind
+from capture_sim.nodes.simulation.control import SimulationControl, State
+from capture_sim.nodes.simulation.pacing import Pacer
+from capture_sim.nodes.simulation.services import SimulationServices
+from capture_sim.nodes.simulation.simulated_runs import RunOutcome, SimulatedRuns
+from capture_sim.scene.launch_plan import plan_launch
+from capture_sim.scene.loading import load_requested, load_scene
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import REAL_TIME_FACTORS
 
 #: A paced simulator hands its GIL over this often, s: Python's own 5 ms would make ticks late.
 SWITCH_INTERVAL = 2e-4
@@ -66,8 +68,8 @@ class SimulatorNode(BenchNode):
             "rtf",
             1.0,
             "real-time factor: simulated seconds per second; 0 runs without pacing",
-            low=FACTORS.low,
-            high=FACTORS.high,
+            low=REAL_TIME_FACTORS.low,
+            high=REAL_TIME_FACTORS.high,
             read_only=False,
         )
         state = self.declare(

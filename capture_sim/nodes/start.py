@@ -9,14 +9,8 @@ import sys
 from functools import partial
 from importlib import import_module
 
+from capture_sim.base.exit_status import FAILED, OK, REFUSAL
 from capture_sim.errors import explain_import_error
-
-#: Exit statuses: done, or ended by Ctrl-C; failed; parameters or the scene are wrong.
-OK, FAILED, REFUSED = 0, 1, 2
-#: Start of the line with which a node reports why it refused to run.
-REFUSAL = "error: "
-#: The recorder's line about its file ends with this text and the file.
-RECORDING_IN = "recording in "
 
 
 def start(name: str) -> int:

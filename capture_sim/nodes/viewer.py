@@ -16,8 +16,7 @@ import numpy as np
 from capture_sim.detection.align import Observation
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.detection.measurements import Source
-from capture_sim.launch.scenes import load_scene
-from capture_sim.measured import measured_samples
+from capture_sim.dynamics.samples import SAMPLE
 from capture_sim.messages.cdr import stamp_of
 from capture_sim.messages.convert import stamp_in, stamp_seconds
 from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader
@@ -31,15 +30,17 @@ from capture_sim.messages.topics import (
     RunSource,
     Topic,
 )
-from capture_sim.nodes.endpoints import from_bytes
-from capture_sim.nodes.follower import AnnouncedRun, Follower, RunEnd, RunPart
-from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.parameters import ParameterError
-from capture_sim.nodes.process import run
-from capture_sim.nodes.roll import RunReport
-from capture_sim.samples import SAMPLE
+from capture_sim.nodes.base.endpoints import from_bytes
+from capture_sim.nodes.base.node import BenchNode
+from capture_sim.nodes.base.parameters import ParameterError
+from capture_sim.nodes.base.process import run
+from capture_sim.nodes.protocol.ends import RunEnd
+from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
+from capture_sim.nodes.protocol.roll import RunReport
+from capture_sim.run.reconstruction import measured_samples
+from capture_sim.run.series import Series
+from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import Scene
-from capture_sim.series import Series
 
 VIEWER = "viewer"
 

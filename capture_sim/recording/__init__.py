@@ -1,1 +1,7 @@
-"""Recording of runs as MCAP files, and reading them back; needs no ROS."""
+"""What stays: runs as MCAP files that ROS tools read, and the same files read back as runs.
+
+Takes: A ``Run`` or live messages; or a file or folder.
+Gives: A file; or a ``Run``, tables, messages to play.
+Must not know: ROS nodes and plots.
+Begin with: ``read.py``.
+"""

@@ -9,7 +9,7 @@ import numpy as np
 
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import EPOCH_NS, stamp_seconds
-from capture_sim.run import Release
+from capture_sim.run.origin import Release
 
 #: A release whose stamp is further than this from its arrival, ns, is stamped by another clock.
 _MAX_STAMP_DELAY = 1_000_000_000

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
+from capture_sim.base.files import file_name, whole_file
+from capture_sim.dynamics.samples import TOUCH, TRACE, columns_of
 from capture_sim.errors import RecordingError
-from capture_sim.files import file_name, whole_file
 from capture_sim.messages.topics import BENCH_EVENT, CONTACT_TRACE
 from capture_sim.messages.units import unit_of
 from capture_sim.recording.bag import Bag
 from capture_sim.recording.sweep_file import arrow, head_of, with_units
-from capture_sim.run import Table
-from capture_sim.samples import TOUCH, TRACE, columns_of
-from capture_sim.series import LazyMapping
+from capture_sim.run.frames import Table
+from capture_sim.run.lazy import LazyMapping
 
 #: Column of the times since the release, s; of the sample, where messages carry one.
 TIME = "t"

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from capture_sim.base.files import file_name, free_path
 from capture_sim.errors import MessageError, RecordingError
-from capture_sim.files import file_name, free_path
 from capture_sim.messages.cdr import sequence_of, stamp_of
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.definitions import decoded

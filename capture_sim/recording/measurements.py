@@ -12,22 +12,16 @@ from itertools import repeat
 import numpy as np
 
 from capture_sim.detection.measurements import Source
-from capture_sim.detection.recorded import TICK, Received, Trial
 from capture_sim.errors import MessageError, RecordingError
-from capture_sim.launch.plan import LaunchPlan, plan_launch
 from capture_sim.messages import topics
 from capture_sim.messages.measurements import DetectorInput
 from capture_sim.messages.topics import Topic
 from capture_sim.recording.bag import Bag
+from capture_sim.run.lazy import Deferred, LazyMapping
+from capture_sim.run.series import QUANTITIES, Series, SeriesBySource, series_in
+from capture_sim.run.verdict import TICK, Received, Trial
+from capture_sim.scene.launch_plan import LaunchPlan, plan_launch
 from capture_sim.scene.parts import Scene
-from capture_sim.series import (
-    QUANTITIES,
-    Deferred,
-    LazyMapping,
-    Series,
-    SeriesBySource,
-    series_in,
-)
 
 #: Column of the heading in poses.
 _HEADING = 2
@@ -55,8 +49,8 @@ def series_of(bag: Bag) -> SeriesBySource:
     """Return every series of a bag by quantity and source; topics are decoded at their first use.
 
     The source of a series is the name of its topic.  Quantities are those of
-    :func:`capture_sim.series.series_in`, and ``tip_force`` and ``cone_force`` (N, on the tip, in
-    the axes of the tip and of the cone), those of ``bench/contact`` (in_touch, walls,
+    :func:`capture_sim.run.series.series_in`, and ``tip_force`` and ``cone_force`` (N, on the tip,
+    in the axes of the tip and of the cone), those of ``bench/contact`` (in_touch, walls,
     touches_begun, normal_force, peak_force) and ``bench/string`` (string_phase, string_tension,
     mass_height, mass_speed).  A quantity that was not measured is absent.
     """

@@ -11,9 +11,9 @@ from uuid import uuid4
 
 import numpy as np
 
+from capture_sim.base.files import free_path, is_device, whole_file
 from capture_sim.errors import RecordingError
-from capture_sim.files import free_path, is_device, whole_file
-from capture_sim.launch.watch import Launcher, LauncherStatus, LaunchObservation
+from capture_sim.launcher.state_machine import Launcher, LauncherStatus, LaunchObservation
 from capture_sim.messages.convert import (
     LaunchAction,
     Messages,
@@ -35,10 +35,10 @@ from capture_sim.messages.telemetry import (
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, SIMULATOR, TOPICS, Topic
 from capture_sim.recording.scan import head_metadata
 from capture_sim.recording.write import RUN_METADATA, RunWriter, describing
-from capture_sim.results import extremes_to_text
+from capture_sim.run.loads import extremes_to_text
 
 if TYPE_CHECKING:
-    from capture_sim.run import Run
+    from capture_sim.run.run import Run
     from capture_sim.scene.parts import Scene
 
 #: The nodes whose streams a run is made of.

@@ -19,9 +19,10 @@ from capture_sim.messages.topics import (
 from capture_sim.recording.bag import Bag, read_bag
 from capture_sim.recording.export import tables_of
 from capture_sim.recording.measurements import commanded_launch, received_in, series_of, trial_in
-from capture_sim.run import Origin, Run
+from capture_sim.run.lazy import Deferred
+from capture_sim.run.origin import Origin
+from capture_sim.run.run import Run
 from capture_sim.scene.parts import Scene
-from capture_sim.series import Deferred
 
 
 def read_run(

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from capture_sim.base.files import whole_file
+from capture_sim.base.software import software_versions
 from capture_sim.errors import RecordingError, install_hint
-from capture_sim.files import whole_file
-from capture_sim.launch.scenes import load_scene_text
-from capture_sim.run import scene_origin
-from capture_sim.software import software_versions
+from capture_sim.run.origin import scene_origin
+from capture_sim.scene.loading import load_scene_text
 
 if TYPE_CHECKING:
     import pandas

@@ -9,8 +9,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
 
+from capture_sim.base.files import is_device
 from capture_sim.errors import RecordingError
-from capture_sim.files import is_device
 from capture_sim.messages.convert import EPOCH_NS, RunDescription
 from capture_sim.messages.definitions import schema_text, type_hash
 from capture_sim.messages.topics import TOPICS, Topic

@@ -22,8 +22,8 @@ from typing import Any
 
 import yaml
 
+from capture_sim.base.resources import config_dir
 from capture_sim.errors import SceneError
-from capture_sim.resources import config_dir
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import alike, did_you_mean
 from capture_sim.scene.quantities import Checked, Declared, accept, declared, refuse, shown

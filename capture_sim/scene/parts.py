@@ -4,7 +4,7 @@ A part that is ``None`` is not on the bench and needs no computing time.  Symbol
 the paper (A New Buffer in Impact Reduction for Aerospace Applications, Table 1 and 2).
 
 Every number is declared as a :func:`~capture_sim.scene.quantities.quantity`, which holds its unit
-and allowed range.  :func:`capture_sim.launch.scenes.check_scene` checks the rules that tie several
+and allowed range.  :func:`capture_sim.scene.loading.check_scene` checks the rules that tie several
 parts together.
 """
 
@@ -43,6 +43,8 @@ CONTACT_LAWS = (
     "carvalho_martins",
     "exact",
 )
+#: Laws whose hysteresis factor grows without bound as the restitution goes to 0.
+NEED_POSITIVE_RESTITUTION = ("gonthier", "flores", "hu_guo", "exact")
 FRICTION_LAWS = ("tanh", "clamp", "brown_mcphee", "coulomb", "none")
 #: Range of the detector's lengths, m; a length above one metre indicates a wrong unit.
 DETECTOR_LENGTH = Range(0.0, 1.0, low_open=True)
@@ -209,7 +211,7 @@ class Cone(Checked):
 
     @property
     def wall(self) -> tuple[float, float, float, float]:
-        """Parameters of :mod:`capture_sim.model.geometry`: R_c, L_c (m), cos beta, sin beta."""
+        """Parameters of :mod:`capture_sim.scene.geometry`: R_c, L_c (m), cos beta, sin beta."""
         return self.R_c, self.L_c, math.cos(self.half_angle), math.sin(self.half_angle)
 
 
@@ -308,7 +310,7 @@ class String(Checked):
     """String, pulley and hanging mass.
 
     Of ``impact_speed``, ``hanging_mass`` and ``drop_height`` two are given; the third (null) is
-    computed from them, see :mod:`capture_sim.launch.plan`.
+    computed from them, see :mod:`capture_sim.scene.launch_plan`.
     """
 
     impact_speed: float | None = quantity(

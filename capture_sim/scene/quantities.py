@@ -48,6 +48,8 @@ SMALLEST, LARGEST = 1e-30, 1e30
 ANY = Range()
 POSITIVE = Range(low=0.0, low_open=True)
 NOT_NEGATIVE = Range(low=0.0)
+#: Simulated (or recorded) seconds per second; 0 does not wait at all.
+REAL_TIME_FACTORS = Range(0.0, 1000.0)
 
 
 def quantity(unit: str, allowed: Range = ANY, *, default: Any = MISSING, doc: str = "") -> Any:

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.run import Run
-from capture_sim.samples import SAMPLE, TRACE
+from capture_sim.dynamics.samples import SAMPLE, TRACE
+from capture_sim.run.run import Run
 
 
 class Difference(NamedTuple):

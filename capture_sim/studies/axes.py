@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from capture_sim.errors import SceneError
-from capture_sim.launch.approach import APPROACH, Approach
 from capture_sim.scene import paths
+from capture_sim.scene.approach import APPROACH, Approach
 from capture_sim.scene.files import parse
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Checked, Declared, accept, declared, shown

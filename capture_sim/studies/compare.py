@@ -14,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.errors import RecordingError
-from capture_sim.results import LOADS, first_cluster
-from capture_sim.run import EVENTS, Run
-from capture_sim.series import PARTS, Part, Series
-from capture_sim.touches import TICK, Touches
+from capture_sim.run.first_contact import first_cluster
+from capture_sim.run.loads import LOADS
+from capture_sim.run.run import EVENTS, Run
+from capture_sim.run.series import PARTS, Part, Series
+from capture_sim.run.touches import TICK, Touches
 
 #: Name of the tip's distance to BE.
 DISTANCE = "distance"

@@ -28,8 +28,8 @@ import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
 from capture_sim.errors import SceneError
-from capture_sim.launch.approach import APPROACH, approach_of
 from capture_sim.scene import paths
+from capture_sim.scene.approach import APPROACH, approach_of
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import accept
 from capture_sim.scene.units import in_si

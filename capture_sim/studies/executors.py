@@ -23,7 +23,7 @@ from types import ModuleType
 from typing import Any
 from urllib.parse import urlsplit
 
-from capture_sim.bench import compile_kernels
+from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.errors import CaptureSimError, install_hint
 
 

@@ -27,13 +27,14 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from capture_sim.bench import Bench, compile_kernels
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.errors import SceneError, SimulationError
-from capture_sim.run import Run
+from capture_sim.run.run import Run
+from capture_sim.run.series import PARTS, Series, series_in
+from capture_sim.run.touches import Touches
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import changed, get, paths_of, range_of, usual_size
-from capture_sim.series import PARTS, Series, series_in
-from capture_sim.touches import Touches
 
 #: Name of a parameter that is in no scene: the actual time of the release, s after the
 #: time that is taken for it.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from capture_sim.errors import SceneError
-from capture_sim.results import LOADS, Load
+from capture_sim.run.loads import LOADS, Load
 from capture_sim.scene.quantities import POSITIVE, Declared, accept
 
 _BEFORE_LATCH = "_before_latch"

@@ -14,14 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.bench import Bench, Memory, drive, to_the_end
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.detection.exact import ExactDetector
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.drive import drive
+from capture_sim.dynamics.memory import Memory
+from capture_sim.dynamics.sample_times import to_the_end
+from capture_sim.dynamics.samples import EventKind
 from capture_sim.errors import SimulationError
-from capture_sim.results import first_cluster, first_contact_end, loads_of
-from capture_sim.samples import EventKind
+from capture_sim.run.first_contact import first_cluster, first_contact_end
+from capture_sim.run.loads import loads_of
+from capture_sim.run.simulation import check_memory
 from capture_sim.scene.parts import Scene
-from capture_sim.simulation import check_memory
 
 #: Measurements of the detector per call into the engine: more would run on too far after a
 #: verdict, fewer cost calls.
@@ -43,7 +47,7 @@ class Outcome:
     reason: str  # the detector's, or why the run had to stop
     left_again: bool  # the tip was captured and is outside the capture zone again
     first_touch: float  # s since the release; NaN without a touch
-    loads: dict[str, Any]  # of the motion, see capture_sim.results.loads_of
+    loads: dict[str, Any]  # of the motion, see capture_sim.run.loads.loads_of
     energy_residual: float  # largest of the energy ledger, J
     failure: str = ""  # why the integration had to stop
     given_up: bool = False  # a load exceeded its ceiling; verdict and loads are of the run up to it
@@ -77,7 +81,7 @@ class StudyRun:
 
     A study of many runs takes each step for several of them in a row: a kernel displaces Python's
     code from the processor's caches, after which it is three times as slow.  ``memory`` is as for
-    :class:`capture_sim.bench.Bench`.  Raises SceneError if the scene breaks a rule.
+    :class:`capture_sim.dynamics.bench.Bench`.  Raises SceneError if the scene breaks a rule.
     """
 
     def __init__(self, scene: Scene, memory: Memory | None = None) -> None:
@@ -158,7 +162,7 @@ def _measured_at(t_end: float, rate: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class FirstContact:
-    """The first contact of a run (:func:`capture_sim.results.first_cluster`); SI units.
+    """The first contact of a run (:func:`capture_sim.run.first_contact.first_cluster`); SI units.
 
     Largest magnitudes until it ended.  Strokes are |Delta x| and |Delta theta| of the paper's
     design flow.

@@ -25,9 +25,9 @@ import numpy as np
 from scipy import ndimage
 from scipy.optimize import minimize, root
 
-from capture_sim.bench import Bench
-from capture_sim.launch.approach import approach_of
-from capture_sim.samples import EventKind
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.samples import EventKind
+from capture_sim.scene.approach import approach_of
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import changed
 from capture_sim.scene.quantities import POSITIVE, Checked, Range, quantity

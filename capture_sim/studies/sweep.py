@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capture_sim.bench import Memory
+from capture_sim.dynamics.memory import Memory
+from capture_sim.dynamics.samples import EXTREMES, SAMPLE, TOUCH, Extremes
 from capture_sim.errors import MissingPackageError, SceneError, install_hint
-from capture_sim.launch.approach import APPROACH, Approach, approach_of, placed, with_approach
-from capture_sim.launch.scenes import change_scene, load_scene
-from capture_sim.results import LOADS, loads_of
-from capture_sim.samples import EXTREMES, SAMPLE, TOUCH, Extremes
+from capture_sim.run.loads import LOADS, loads_of
 from capture_sim.scene import paths
+from capture_sim.scene.approach import APPROACH, Approach, approach_of, placed, with_approach
 from capture_sim.scene.files import Overrides
+from capture_sim.scene.loading import change_scene, load_scene
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.axes import make_axis
 from capture_sim.studies.executors import answers, open_executor

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 
-from capture_sim.files import whole_file
+from capture_sim.base.files import whole_file
 from capture_sim.viewing import style
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from capture_sim.dynamics.samples import Phase
 from capture_sim.errors import CaptureSimError
-from capture_sim.results import first_touch
-from capture_sim.run import Run
-from capture_sim.samples import Phase
+from capture_sim.run.first_contact import first_touch
+from capture_sim.run.run import Run
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import style
 from capture_sim.viewing.shapes import CHASER, TARGET

@@ -27,8 +27,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from capture_sim.results import first_touch
-from capture_sim.run import Run
+from capture_sim.run.first_contact import first_touch
+from capture_sim.run.run import Run
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import columns_for, draw_shapes, hide_unused, subplots
 from capture_sim.viewing.curves import (

@@ -11,7 +11,7 @@ import time
 import numpy as np
 import rerun as rr
 
-from capture_sim.samples import Phase
+from capture_sim.dynamics.samples import Phase
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import style
 from capture_sim.viewing.rerun_bench import BenchLog

@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import NullLocator
 
+from capture_sim.dynamics.samples import EventKind
 from capture_sim.messages.urdf import Box, chaser_box, target_box
-from capture_sim.results import first_touch
-from capture_sim.run import Run
-from capture_sim.samples import EventKind
+from capture_sim.run.first_contact import first_touch
+from capture_sim.run.run import Run
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import shapes, source, style
 from capture_sim.viewing.canvas import (

@@ -13,15 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from jinja2 import Environment, PackageLoader
 
+from capture_sim.base.files import whole_file
+from capture_sim.base.software import own_version
+from capture_sim.dynamics.samples import ENERGIES, EventKind
 from capture_sim.errors import SceneError, SimulationError
-from capture_sim.files import whole_file
-from capture_sim.results import LEGEND, first_cluster, heads, notes, rows
-from capture_sim.run import Run
-from capture_sim.samples import ENERGIES, EventKind
+from capture_sim.run.first_contact import first_cluster
+from capture_sim.run.run import Run
+from capture_sim.run.simulation import simulate
+from capture_sim.run.summary_table import LEGEND, heads, notes, rows
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Declared, declared
-from capture_sim.simulation import simulate
-from capture_sim.software import own_version
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import small_png
 from capture_sim.viewing.curves import has_ledger

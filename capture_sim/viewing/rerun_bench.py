@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from capture_sim.dynamics.samples import Phase
 from capture_sim.messages.urdf import chaser_box, target_box
-from capture_sim.samples import Phase
 from capture_sim.scene.parts import Cone, Scene
 from capture_sim.viewing import shapes, style
 from capture_sim.viewing.rerun_stream import RunStream

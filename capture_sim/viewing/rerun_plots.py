@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import rerun as rr
 
-from capture_sim.run import Run
-from capture_sim.samples import Phase
+from capture_sim.dynamics.samples import Phase
+from capture_sim.run.run import Run
 from capture_sim.viewing import style
 from capture_sim.viewing.curves import DISTANCE, FORCE, STROKE, TORSION, PlottedRun, Quantity
 from capture_sim.viewing.rerun_stream import RunStream

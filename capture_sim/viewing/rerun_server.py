@@ -8,8 +8,8 @@ import subprocess
 import time
 from pathlib import Path
 
+from capture_sim.base.interrupts import tied
 from capture_sim.errors import CaptureSimError
-from capture_sim.interrupts import tied
 
 #: All traffic stays on this machine.
 LOCALHOST = "127.0.0.1"

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import rerun as rr
 
-from capture_sim.results import first_touch
-from capture_sim.run import Run
+from capture_sim.run.first_contact import first_touch
+from capture_sim.run.run import Run
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing.source import decided_at, every_touch
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
+from capture_sim.base.files import whole_file
 from capture_sim.errors import RecordingError
-from capture_sim.files import whole_file
-from capture_sim.results import impact_speed
-from capture_sim.run import Run
+from capture_sim.run.first_contact import impact_speed
+from capture_sim.run.run import Run
 from capture_sim.scene.parts import as_name
 from capture_sim.viewing import style
 from capture_sim.viewing.curves import PlottedRun, Window, has_ledger, plotted_runs

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from capture_sim.errors import CaptureSimError, SimulationError
-from capture_sim.results import first_touch, impact_speed
-from capture_sim.run import Run
-from capture_sim.samples import EventKind
+from capture_sim.dynamics.samples import EventKind
+from capture_sim.errors import CaptureSimError
+from capture_sim.run.first_contact import first_touch, impact_speed
+from capture_sim.run.run import Run
+from capture_sim.run.simulation import RunError, simulate
 from capture_sim.scene.parts import Scene, as_name
-from capture_sim.simulation import simulate
 
 #: Width of the drawn time of a run of one sample, s.
 SHORTEST_WINDOW = 1e-3
@@ -197,9 +197,7 @@ def resolved(run: Run, window: tuple[float, float] | None = None) -> Run:
         )
     try:
         again = simulate(run.scene, t_eval=t_eval)
-    except SimulationError as error:
-        if error.result is None:
-            raise
+    except RunError as error:
         again = error.result
     if not _are_equal(again.touches, touches):
         raise CaptureSimError(

@@ -10,11 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from capture_sim.series import NO_SERIES, Series
+from capture_sim.run.series import NO_SERIES, Series
+from capture_sim.run.touches import Touches
 from capture_sim.studies.design import OBJECTIVE, Design
 from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.paper_flow import FirstContactDesign
-from capture_sim.touches import Touches
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import subplots
 from capture_sim.viewing.curves import STROKE, TORSION

@@ -18,7 +18,7 @@ from matplotlib.path import Path
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator
 
-from capture_sim.results import LOADS
+from capture_sim.run.loads import LOADS
 from capture_sim.studies.axes import Axis
 from capture_sim.studies.dispersion import (
     CAPTURED_LEFT,

@@ -167,7 +167,10 @@ def operate():
     """Run one trial as an operator does: by the action, or by the services before there was one."""
     import rclpy
 
-    from capture_sim.nodes.dds import configure
+    try:
+        from capture_sim.nodes.base.dds import configure
+    except ImportError:  # of a state before 0.2.0
+        from capture_sim.nodes.dds import configure
 
     configure(os.environ)
     rclpy.init()

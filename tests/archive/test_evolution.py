@@ -10,11 +10,11 @@ from rosbags.typesys import get_types_from_msg
 
 import capture_sim
 from capture_sim import load_scene, simulate
-from capture_sim.launch.scenes import load_scene_text
+from capture_sim.base.resources import message_dir
+from capture_sim.base.software import newer_line, newer_version, own_version
 from capture_sim.messages.evolution import defaults
-from capture_sim.resources import message_dir
+from capture_sim.scene.loading import load_scene_text
 from capture_sim.scene.parts import Scene, as_mapping
-from capture_sim.software import newer_line, newer_version, own_version
 from tests.archive.test_archive import ARCHIVE, FIRST_KEYS, OF_THE_CALL, VERSIONS
 
 #: Fields and types that are gone, with what reads them: none is in a recording's topics.

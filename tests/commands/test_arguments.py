@@ -21,8 +21,9 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from capture_sim import SceneError, load_scene
+from capture_sim.base.exit_status import BAD_INPUT
 from capture_sim.cli import main
-from capture_sim.commands import BAD_INPUT, COMMANDS, GROUPS
+from capture_sim.commands import COMMANDS, GROUPS
 from capture_sim.studies.axes import FAMILIAR, make_axis
 
 EXAMPLES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "25"))

@@ -12,7 +12,7 @@ from capture_sim.cli import main
 from capture_sim.commands import results_folder
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
-from capture_sim.results import NOT_NUMBERS
+from capture_sim.run.summary import NOT_NUMBERS
 
 
 def test_run_prints_a_table_and_writes_numbers(tmp_path, capsys):

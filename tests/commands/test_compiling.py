@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+from capture_sim.base.compiled.progress import _CompilationCounter
 from capture_sim.commands import output
-from capture_sim.compile_progress import _CompilationCounter
-from capture_sim.engine import loop, segment, steps
+from capture_sim.dynamics.engine import loop, segment, steps
 
 
 def test_kernels_are_counted_once_each_and_never_beyond_their_number():

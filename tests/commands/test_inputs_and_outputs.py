@@ -8,9 +8,9 @@ import pytest
 from bags import in_two_files
 
 import capture_sim
+from capture_sim.base.files import whole_file, why_not_writable
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
-from capture_sim.files import whole_file, why_not_writable
 from capture_sim.recording.offline import write_run
 
 

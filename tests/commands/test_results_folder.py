@@ -10,13 +10,13 @@ import pytest
 from bags import of_a_bench
 
 from capture_sim import load_scene, simulate
-from capture_sim.bench import compile_kernels
 from capture_sim.cli import main
 from capture_sim.commands import results_folder
 from capture_sim.commands.results_folder import SHOWN, Recorded, ResultsFolder
+from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
-from capture_sim.results import NOT_NUMBERS
+from capture_sim.run.summary import NOT_NUMBERS
 
 SHORT = {"run.t_end": 0.05}
 

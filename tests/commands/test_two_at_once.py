@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-from capture_sim.bench import compile_kernels
+from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.recording.bag import read_bag
 
 

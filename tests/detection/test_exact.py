@@ -10,8 +10,8 @@ from capture_sim import load_scene, simulate
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.detection.detector import CaptureDetector
 from capture_sim.detection.exact import ExactDetector
-from capture_sim.results import table
-from capture_sim.samples import SAMPLE
+from capture_sim.dynamics.samples import SAMPLE
+from capture_sim.run.summary_table import table
 
 
 def tip_motion(scene, places, rate=100.0, turn=0.0):

@@ -27,11 +27,10 @@ from injections import (
 from mcap.writer import Writer
 
 from capture_sim import Bench, load_scene, read_run
-from capture_sim.bench import EventKind
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.detection.detector import CaptureDetector
 from capture_sim.detection.measurements import Reason, Source
-from capture_sim.detection.recorded import Received, Trial, detect_received
+from capture_sim.dynamics.bench import EventKind
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.messages.definitions import blank, schema_text, typestore
 from capture_sim.messages.measurements import DetectorInput
@@ -43,7 +42,8 @@ from capture_sim.messages.topics import (
     TARGET_ODOMETRY,
     TARGET_POSE,
 )
-from capture_sim.run import detect
+from capture_sim.run.run import detect
+from capture_sim.run.verdict import Received, Trial, detect_received
 
 COUNT = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "2"))
 NS = 1_000_000_000

@@ -33,8 +33,8 @@ import yaml
 
 import capture_sim
 from capture_sim.cli import command_parser, main
+from capture_sim.dynamics.samples import TOUCH
 from capture_sim.recording.offline import write_run
-from capture_sim.samples import TOUCH
 from capture_sim.scene.parts import Scene
 from tools import reference, setup_env
 

@@ -13,14 +13,14 @@ from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
 from capture_sim import load_scene, scene_names, simulate
-from capture_sim.bench import Bench
 from capture_sim.cli import main
 from capture_sim.detection.criteria import CaptureState
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.samples import SAMPLE, Phase, columns_of
 from capture_sim.fmu.description import write_fmu
 from capture_sim.fmu.library import make_unit
 from capture_sim.fmu.machine_code import instructions
 from capture_sim.hardware.law import TipState, WallLaw, Walls
-from capture_sim.samples import SAMPLE, Phase, columns_of
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Every instance that runs the same machine code does the same operations; 1e-12 is the promise.

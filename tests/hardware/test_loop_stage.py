@@ -8,9 +8,9 @@ from elastic_loop import advanced
 from four_bodies import bias, buffer_forces, kinetic, mass_matrix, momentum, tip
 
 from capture_sim import SceneError, load_scene, simulate
+from capture_sim.dynamics.samples import EventKind
 from capture_sim.hardware.law import NO_LAW, WallLaw, Walls, Wrench
 from capture_sim.hardware.stage import LoopStage, SafeStopError
-from capture_sim.samples import EventKind
 
 # mechanics
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from capture_sim.dynamics.samples import SAMPLE, columns_of
 from capture_sim.messages.definitions import typestore
 from capture_sim.messages.units import unit_of
-from capture_sim.samples import SAMPLE, columns_of
 from capture_sim.scene.units import in_si
 
 OURS = sorted(name for name in typestore().fielddefs if name.startswith("capture_sim/msg/"))

@@ -21,8 +21,10 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 import capture_sim
+from capture_sim.base.resources import message_dir
+from capture_sim.dynamics.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 from capture_sim.errors import CaptureSimError, MessageError
-from capture_sim.launch.watch import Launcher
+from capture_sim.launcher.state_machine import Launcher
 from capture_sim.messages import topics
 from capture_sim.messages.cdr import Numbers, fill
 from capture_sim.messages.convert import (
@@ -64,8 +66,6 @@ from capture_sim.messages.topics import (
     Stamp,
 )
 from capture_sim.recording.offline import PUBLISHERS, run_stream
-from capture_sim.resources import message_dir
-from capture_sim.samples import SAMPLE, TOUCH, Event, EventKind, Phase
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from capture_sim import load_scene, simulate
-from capture_sim.launch.scenes import load_scene_text
 from capture_sim.messages.urdf import moving_transforms, static_transforms, urdf
+from capture_sim.scene.loading import load_scene_text
 
 
 @pytest.fixture(params=["tilt_p10", "paper_designed"])

@@ -9,10 +9,10 @@ from rcl_interfaces.srv import ListParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
-from capture_sim.control.simulation import State
 from capture_sim.messages.topics import BENCH_STATE, CLOCK, RUN_INFO
-from capture_sim.nodes.endpoints import message_class, qos_of
-from capture_sim.nodes.services import definitions
+from capture_sim.nodes.base.endpoints import message_class, qos_of
+from capture_sim.nodes.simulation.control import State
+from capture_sim.nodes.simulation.services import definitions
 from tests.nodes.own_domain import participant
 
 #: What is waited for makes some progress within this long, s, on a slow and busy machine too ...

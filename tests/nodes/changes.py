@@ -10,7 +10,7 @@ import numpy as np
 
 from capture_sim.hardware.pacing import Pacer
 from capture_sim.hardware.rig import Rig
-from capture_sim.nodes.outbox import Outbox
+from capture_sim.nodes.base.publishers import Outbox
 from tests.nodes.bench_client import LONGEST
 
 

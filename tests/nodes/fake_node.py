@@ -6,7 +6,7 @@ from collections import defaultdict
 from types import SimpleNamespace
 
 from capture_sim.messages.convert import Messages
-from capture_sim.nodes.node import POLL
+from capture_sim.nodes.base.node import POLL
 
 
 class FakeLog:

@@ -20,7 +20,7 @@ from importlib import import_module
 from pathlib import Path
 
 from capture_sim import load_scene
-from capture_sim.bench import compile_kernels
+from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.hardware.stage import LoopStage
 from capture_sim.messages.definitions import typestore
 

@@ -17,7 +17,8 @@ def own_domain():
     """Let nodes and clients meet in a domain that nobody else has.
 
     End the nodes before: Fast DDS may spin for ever if a participant is destroyed while another
-    comes or goes (see capture_sim.interrupts.end_within), and this process's is destroyed here.
+    comes or goes (see capture_sim.base.interrupts.end_within), and this process's is destroyed
+    here.
     """
     outer = os.environ["ROS_DOMAIN_ID"]
     number, lock = claim_domain()

@@ -9,9 +9,9 @@ import pytest
 from rclpy.duration import Duration, Infinite
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from capture_sim.nodes.dds import PEERS, PROFILES, RANGE, configure
-from capture_sim.nodes.endpoints import why_incompatible
-from capture_sim.resources import config_dir
+from capture_sim.base.resources import config_dir
+from capture_sim.nodes.base.dds import PEERS, PROFILES, RANGE, configure
+from capture_sim.nodes.base.endpoints import why_incompatible
 from tests.nodes.bench_processes import Started
 
 LOOPBACK, NETWORK = "fast_dds_loopback.xml", "fast_dds.xml"

@@ -7,7 +7,6 @@ import numpy as np
 from injections import STAMP_OF_RELEASE, STANDARD, stream
 
 from capture_sim.detection.measurements import Source
-from capture_sim.detection.recorded import Received, Trial, detect_received
 from capture_sim.messages.definitions import blank, typestore
 from capture_sim.messages.topics import (
     BUFFER_STATE,
@@ -15,7 +14,8 @@ from capture_sim.messages.topics import (
     CHASER_ODOMETRY,
     TARGET_ODOMETRY,
 )
-from capture_sim.nodes.endpoints import message_class, qos_of
+from capture_sim.nodes.base.endpoints import message_class, qos_of
+from capture_sim.run.verdict import Received, Trial, detect_received
 from tests.nodes.bench_client import Client, wait_until
 
 TOPICS = {

@@ -29,14 +29,14 @@ from capture_sim.messages.topics import (
     RunSource,
     topics_of,
 )
-from capture_sim.nodes.endpoints import message_class
-from capture_sim.nodes.node import BenchNode
-from capture_sim.nodes.roll import FREE, READY
+from capture_sim.nodes.base.endpoints import message_class
+from capture_sim.nodes.base.node import BenchNode
+from capture_sim.nodes.protocol.roll import FREE, READY
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run, run_of
-from capture_sim.run import detect
+from capture_sim.run.run import detect
 from capture_sim.scene.parts import Detector
 from tests.nodes.bench_client import PATIENCE, Client, wait_until
 from tests.nodes.own_domain import participant

@@ -16,10 +16,10 @@ from rclpy.duration import Duration
 from rclpy.serialization import serialize_message
 
 from capture_sim import load_scene
-from capture_sim.control.simulation import Code, State
 from capture_sim.hardware.messages import CONTACT_RIG, LOOP_SIMULATOR, TIP, TIP_WRENCH
 from capture_sim.messages.topics import CLOCK, RUN_INFO, STREAM_COUNTS, TOPICS, RunSource
-from capture_sim.nodes.endpoints import message_class, qos_of
+from capture_sim.nodes.base.endpoints import message_class, qos_of
+from capture_sim.nodes.simulation.control import Code, State
 from capture_sim.recording.bag import read_bag
 from tests.nodes.bench_client import Client, Simulation, wait_until
 from tests.nodes.bench_processes import processes

@@ -33,7 +33,7 @@ from capture_sim.hardware.messages import (
 )
 from capture_sim.hardware.stage import LoopStage
 from capture_sim.messages.convert import Messages
-from capture_sim.nodes.endpoints import message_class, qos_of
+from capture_sim.nodes.base.endpoints import message_class, qos_of
 from tests.nodes.bench_processes import Client, Started, fresh, wait_until
 from tests.nodes.changes import shared_numbers
 

@@ -14,7 +14,7 @@ from tests.nodes.bench_client import wait_until
 #: has room for: scenes that are loaded and kernels that are compiled.
 WATCHED = """
 from numba.core import event
-from capture_sim.launch import hold
+from capture_sim.trial import hold
 from capture_sim.nodes import trial_bench, trial_server
 
 compiled, loaded, between = event.RecordingListener(), [], []
@@ -80,7 +80,7 @@ def test_a_client_that_never_asks_for_the_result(start, client, tmp_path):
 
 
 def test_hold_is_looked_at_in_every_callback_on_a_busy_machine(start, client, tmp_path):
-    """How late a message can be for it is in tests/launch/test_hold.py, on a simulated clock."""
+    """How late a message can be for it is in tests/trial/test_hold.py, on a simulated clock."""
     session = Session(start, client, tmp_path, change=WATCHED)
     with session.bench(), ExitStack() as stack:
         for _ in range(4):

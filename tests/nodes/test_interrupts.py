@@ -12,8 +12,8 @@ import pytest
 
 import capture_sim
 from capture_sim import load_scene
-from capture_sim.interrupts import in_worker, watch_signals
-from capture_sim.nodes.supervisor import run_suite
+from capture_sim.base.interrupts import in_worker, watch_signals
+from capture_sim.commands.suite import run_suite
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
 from tests.nodes.bench_processes import wait_until
@@ -105,8 +105,8 @@ def test_interrupt_within_a_destructor_is_not_lost(tmp_path):
     status, said = ended(
         """
         import os, signal
-        from capture_sim.nodes.node import BenchNode
-        from capture_sim.nodes.process import run
+        from capture_sim.nodes.base.node import BenchNode
+        from capture_sim.nodes.base.process import run
 
         class Loses:
             def __del__(self):
@@ -137,7 +137,7 @@ def test_end_is_bounded_where_dds_spins_with_the_lock_of_python(tmp_path, status
         f"""
         import ctypes
         from capture_sim.nodes import process
-        from capture_sim.nodes.node import BenchNode
+        from capture_sim.nodes.base.node import BenchNode
 
         class Bench(BenchNode):
             def __init__(self):

@@ -5,8 +5,8 @@ import json
 import pytest
 import yaml
 
-from capture_sim.nodes.endpoints import message_class
-from capture_sim.resources import config_dir
+from capture_sim.base.resources import config_dir
+from capture_sim.nodes.base.endpoints import message_class
 from tests.nodes.bench_client import Client, wait_until
 from tests.nodes.bench_processes import processes
 from tests.nodes.forked import Forked

@@ -6,11 +6,19 @@ from capture_sim import load_scene
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.topics import BENCH_STATE, ROLL, RUN_INFO, RunSource
-from capture_sim.nodes import announcer, follower, roll
-from capture_sim.nodes.announcer import ALONE_TIME, Announcer
-from capture_sim.nodes.endpoints import DISCOVERY_TIME, message_class
-from capture_sim.nodes.follower import JOIN_TIMEOUT, Follower
-from capture_sim.nodes.roll import DONE, FREE, FREE_TIMEOUT, READY, Roll, RunReport, run_key
+from capture_sim.nodes.base.endpoints import DISCOVERY_TIME, message_class
+from capture_sim.nodes.protocol import announcer, follower, roll
+from capture_sim.nodes.protocol.announcer import ALONE_TIME, Announcer
+from capture_sim.nodes.protocol.follower import JOIN_TIMEOUT, Follower
+from capture_sim.nodes.protocol.roll import (
+    DONE,
+    FREE,
+    FREE_TIMEOUT,
+    READY,
+    Roll,
+    RunReport,
+    run_key,
+)
 from tests.nodes.fake_node import FakeNode
 
 OTHER = "/launcher#1"

@@ -8,11 +8,11 @@ import pytest
 import rclpy
 import yaml
 
+from capture_sim.base.resources import config_dir
 from capture_sim.nodes.capture_detector import CaptureDetectorNode
 from capture_sim.nodes.launcher import LauncherNode
 from capture_sim.nodes.recorder import RecorderNode
 from capture_sim.nodes.simulator import SimulatorNode
-from capture_sim.resources import config_dir
 from tests.nodes.own_domain import participant
 
 UNSET = ("['']", "nan")

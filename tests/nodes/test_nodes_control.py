@@ -7,10 +7,10 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from capture_sim import load_scene, simulate
-from capture_sim.control.simulation import Code, State
+from capture_sim.base.resources import config_dir
 from capture_sim.messages.topics import BENCH_STATE
-from capture_sim.nodes.endpoints import TRANSIENT_LOCAL
-from capture_sim.resources import config_dir
+from capture_sim.nodes.base.endpoints import TRANSIENT_LOCAL
+from capture_sim.nodes.simulation.control import Code, State
 from tests.nodes.bench_client import Client, Simulation, wait_until
 from tests.nodes.bench_processes import processes
 from tests.nodes.changes import shared_numbers

@@ -6,9 +6,9 @@ import pytest
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.topics import BENCH_STATE, CHASER_POSE
-from capture_sim.nodes import sources
-from capture_sim.nodes.outbox import Outbox
-from capture_sim.nodes.sources import SourceDiagnostics
+from capture_sim.nodes.base import sources
+from capture_sim.nodes.base.publishers import Outbox
+from capture_sim.nodes.base.sources import SourceDiagnostics
 from capture_sim.nodes.viewer import ViewerNode
 
 

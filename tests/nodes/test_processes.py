@@ -15,11 +15,11 @@ from rig_session import FakeRig, Goal, actions_of, rig
 
 import capture_sim
 from capture_sim import load_scene, simulate
+from capture_sim.commands.suite import run_suite
 from capture_sim.messages.topics import CHASER_POSE
-from capture_sim.nodes.supervisor import run_suite
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.read import run_of
-from capture_sim.run import detect
+from capture_sim.run.run import detect
 from tests.nodes.bench_processes import (
     Client,
     Started,
@@ -140,7 +140,7 @@ SUITE = """
 import sys
 from pathlib import Path
 from capture_sim import load_scene
-from capture_sim.nodes.supervisor import run_suite
+from capture_sim.commands.suite import run_suite
 try:
     run_suite([load_scene("tilt_0")], Path(sys.argv[1]), rtf=1.0)
 except KeyboardInterrupt:

@@ -13,7 +13,7 @@ from std_msgs.msg import Bool
 
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.messages.topics import CAPTURE_STATUS
-from capture_sim.nodes.endpoints import TRANSIENT_LOCAL
+from capture_sim.nodes.base.endpoints import TRANSIENT_LOCAL
 from capture_sim.recording.bag import read_bag
 from tests.nodes.bench_client import Client, wait_until
 

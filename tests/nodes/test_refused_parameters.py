@@ -18,9 +18,9 @@ from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.parameter import Parameter
 
 from capture_sim import load_scene, simulate
+from capture_sim.base.resources import config_dir
 from capture_sim.errors import CaptureSimError
 from capture_sim.recording.offline import write_run
-from capture_sim.resources import config_dir
 from capture_sim.scene.parts import Detector
 from tests.nodes.bench_client import ros_arguments
 from tests.nodes.bench_processes import Started, fresh

@@ -5,6 +5,7 @@ import math
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 
+from capture_sim.base.resources import message_dir
 from capture_sim.detection.measurements import Reason, Source
 from capture_sim.messages.topics import (
     CAPTURE_STATUS,
@@ -12,8 +13,7 @@ from capture_sim.messages.topics import (
     JOINT_STATES,
     TARGET_POSE,
 )
-from capture_sim.nodes.endpoints import qos_of
-from capture_sim.resources import message_dir
+from capture_sim.nodes.base.endpoints import qos_of
 from tests.nodes.bench_client import wait_until
 
 N = 300  # instants of a bench at 100 Hz

@@ -3,9 +3,9 @@
 import pytest
 
 from capture_sim.messages.topics import ROLL
-from capture_sim.nodes import roll as roll_module
-from capture_sim.nodes.endpoints import message_class
-from capture_sim.nodes.roll import FREE, READY, Roll
+from capture_sim.nodes.base.endpoints import message_class
+from capture_sim.nodes.protocol import roll as roll_module
+from capture_sim.nodes.protocol.roll import FREE, READY, Roll
 
 RECORDER = "/recorder#1"
 

@@ -3,13 +3,13 @@
 import pytest
 
 from capture_sim import load_scene
-from capture_sim.bench import Bench
-from capture_sim.control.pacing import Pacer
-from capture_sim.control.simulation import SimulationControl, State
+from capture_sim.dynamics.bench import Bench
 from capture_sim.messages.convert import Messages, RunDescription
 from capture_sim.messages.telemetry import BenchTelemetry
 from capture_sim.messages.topics import JOINT_STATES, SIMULATOR
-from capture_sim.nodes.stepping import Stepping
+from capture_sim.nodes.simulation.control import SimulationControl, State
+from capture_sim.nodes.simulation.pacing import Pacer
+from capture_sim.nodes.simulation.stepping import Stepping
 
 SHORT = ["run.t_end=0.5"]
 

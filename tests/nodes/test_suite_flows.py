@@ -10,8 +10,7 @@ from recorded import values_of
 
 from capture_sim import load_scene, simulate
 from capture_sim.detection.criteria import CaptureState
-from capture_sim.launch.scenes import load_scene_text
-from capture_sim.launch.watch import LauncherPhase
+from capture_sim.launcher.state_machine import LauncherPhase
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.definitions import decoded
 from capture_sim.messages.topics import (
@@ -24,12 +23,13 @@ from capture_sim.messages.topics import (
     RUN_INFO,
     TARGET_ODOMETRY,
 )
-from capture_sim.nodes.endpoints import TRANSIENT_LOCAL, message_class, qos_of
+from capture_sim.nodes.base.endpoints import TRANSIENT_LOCAL, message_class, qos_of
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.read import run_of
-from capture_sim.results import loads_of
-from capture_sim.run import detect
+from capture_sim.run.loads import loads_of
+from capture_sim.run.run import detect
+from capture_sim.scene.loading import load_scene_text
 from tests.nodes.bench_client import Client, statuses, wait_until
 from tests.nodes.bench_processes import processes
 from tests.nodes.forked import Forked
@@ -328,7 +328,7 @@ def test_dropped_messages_are_named(start_all):
 
 SLOW = """
 import time
-from capture_sim.launch.watch import Launcher
+from capture_sim.launcher.state_machine import Launcher
 observe = Launcher.observe
 Launcher.observe = lambda *arguments: (time.sleep(5e-4), observe(*arguments))[1]
 """
@@ -369,7 +369,7 @@ def plan(scene, armed):
 simulated_runs._plan = plan
 """
 GOES_ON = """
-from capture_sim.control.simulation import SimulationControl
+from capture_sim.nodes.simulation.control import SimulationControl
 SimulationControl.abort = lambda *arguments: None
 """
 

@@ -4,7 +4,7 @@ import pytest
 
 from capture_sim import load_scene, simulate
 from capture_sim.messages.topics import BENCH_STATE
-from capture_sim.nodes.endpoints import TRANSIENT_LOCAL
+from capture_sim.nodes.base.endpoints import TRANSIENT_LOCAL
 from tests.nodes.bench_client import wait_until
 from tf2_msgs.msg import TFMessage
 

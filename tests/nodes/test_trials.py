@@ -1,7 +1,7 @@
 """Trials of a real bench over DDS: nothing moves that was not asked to.
 
-What disturbed sensors do to the verdict is in tests/launch/test_disturbed_trials.py, each limit of
-a trial in tests/launch/test_trial.py, both on a simulated clock.
+What disturbed sensors do to the verdict is in tests/trial/test_disturbed_trials.py, each limit of
+a trial in tests/trial/test_trial.py, both on a simulated clock.
 """
 
 import math
@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from capture_sim import load_scene, simulate
 from capture_sim.messages.topics import CHASER_POSE, HOLD, RUN_INFO
-from capture_sim.nodes.endpoints import TRANSIENT_LOCAL
+from capture_sim.nodes.base.endpoints import TRANSIENT_LOCAL
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
 from tests.nodes.bench_client import wait_until
@@ -281,7 +281,7 @@ def test_cancel_and_bad_goals(start, client, tmp_path):
 
 
 INTERRUPTED = """
-from capture_sim.nodes.roll import Roll
+from capture_sim.nodes.protocol.roll import Roll
 def interrupt(self):
     raise KeyboardInterrupt
 Roll.await_heard = interrupt

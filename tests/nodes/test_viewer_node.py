@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message
 
 import capture_sim
 from capture_sim.messages.topics import CHASER_ODOMETRY, JOINT_STATES, TARGET_ODOMETRY
-from capture_sim.nodes.endpoints import message_class, qos_of
+from capture_sim.nodes.base.endpoints import message_class, qos_of
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
 from capture_sim.viewing.shapes import tip_in_cone

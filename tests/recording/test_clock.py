@@ -8,7 +8,7 @@ import pytest
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import EPOCH_NS
 from capture_sim.recording.clock import Logged, find_clock
-from capture_sim.run import Release
+from capture_sim.run.origin import Release
 
 SECOND = 1_000_000_000
 WALL = 1_790_000_000 * SECOND

@@ -8,6 +8,7 @@ import pytest
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
+from capture_sim.dynamics.samples import TRACE
 from capture_sim.errors import SimulationError
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.definitions import typestore
@@ -19,7 +20,6 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
-from capture_sim.samples import TRACE
 from capture_sim.viewing.source import normal_force_with_peaks
 
 NAME = "tilt_p10"

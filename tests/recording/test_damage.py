@@ -22,7 +22,7 @@ from capture_sim.errors import RecordingError
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
-from capture_sim.results import table as table_of
+from capture_sim.run.summary_table import table as table_of
 from capture_sim.viewing.source import headline
 
 #: Damaged files of each kind; docs/node_suite.md has 50.

@@ -22,8 +22,8 @@ from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.playback import Playback
 from capture_sim.recording.read import read_run
 from capture_sim.recording.write import RunWriter
-from capture_sim.run import detect
-from capture_sim.series import PARTS
+from capture_sim.run.run import detect
+from capture_sim.run.series import PARTS
 
 #: Commands that read a recording, with the least that they need.
 COMMANDS = {

@@ -27,7 +27,7 @@ from capture_sim.messages.topics import topic_named
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.playback import Playback
 from capture_sim.recording.read import read_run
-from capture_sim.run import detect
+from capture_sim.run.run import detect
 from capture_sim.viewing.curves import plotted_runs
 from capture_sim.viewing.figures import pictures_of
 

@@ -25,9 +25,9 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 
 import capture_sim
+from capture_sim.base.files import free_path
+from capture_sim.dynamics.samples import SAMPLE, TOUCH
 from capture_sim.errors import RecordingError
-from capture_sim.files import free_path
-from capture_sim.launch.scenes import load_scene_text
 from capture_sim.messages.cdr import columns, sequence_of, stamp_of
 from capture_sim.messages.convert import Messages, RunDescription
 from capture_sim.messages.definitions import (
@@ -52,7 +52,7 @@ from capture_sim.recording.completeness import Completeness
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.write import RunWriter
-from capture_sim.samples import SAMPLE, TOUCH
+from capture_sim.scene.loading import load_scene_text
 
 NAME = "tilt_m10"
 

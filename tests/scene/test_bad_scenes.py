@@ -13,8 +13,8 @@ from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
 
 from capture_sim import Bench, Scene, SceneError, SimulationError, load_scene, scene_names
-from capture_sim.launch.scenes import load_scene_text
 from capture_sim.scene.files import MAX_TEXT, parse
+from capture_sim.scene.loading import load_scene_text
 from capture_sim.scene.quantities import ANY, declared, shown
 
 pytestmark = pytest.mark.filterwarnings("error")  # of NumPy: a number has overflowed

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from capture_sim import SceneError, load_scene, scene_names
-from capture_sim.launch import plan, scenes
-from capture_sim.launch.scenes import check_scene
-from capture_sim.model import parameters
-from capture_sim.model.parameters import pack
+from capture_sim.dynamics.model import parameters
+from capture_sim.dynamics.model.parameters import pack
+from capture_sim.scene import launch_plan as plan
+from capture_sim.scene import loading as scenes
 from capture_sim.scene import paths
+from capture_sim.scene.cache import Remembered
+from capture_sim.scene.loading import check_scene
 from capture_sim.scene.quantities import Checked, declared
-from capture_sim.scene.remembered import Remembered
 
 _MODULES = (plan, scenes, parameters)
 FUNCTIONS = {

@@ -9,7 +9,7 @@ import yaml
 
 from capture_sim import Bench, SceneError, load_scene, scene_names
 from capture_sim.cli import main
-from capture_sim.launch.scenes import load_scene_text
+from capture_sim.scene.loading import load_scene_text
 from capture_sim.scene.parts import PlanarState, Vehicle, as_mapping
 from capture_sim.scene.paths import field_names
 

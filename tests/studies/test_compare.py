@@ -14,7 +14,8 @@ from capture_sim.cli import main
 from capture_sim.commands import compare
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
-from capture_sim.series import Series
+from capture_sim.run.series import Series
+from capture_sim.run.touches import Touches
 from capture_sim.studies.compare import (
     SAMPLED_FORCE,
     characteristics,
@@ -22,7 +23,6 @@ from capture_sim.studies.compare import (
     pair_touches,
     sides,
 )
-from capture_sim.touches import Touches
 from capture_sim.viewing.studies import draw_touches, impulse_so_far
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.cli import main
-from capture_sim.launch.scenes import change_scene
 from capture_sim.scene import paths
+from capture_sim.scene.loading import change_scene
 from capture_sim.studies.design import (
     FREE,
     Dispersions,

@@ -9,13 +9,13 @@ import pytest
 from noisy_bench import NAMES, POSE_NOISE, noisy_run
 
 import capture_sim
-from capture_sim.bench import Bench
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.samples import TOUCH
 from capture_sim.errors import SceneError
-from capture_sim.run import Run
-from capture_sim.samples import TOUCH
-from capture_sim.series import STATE, Series, series_in
+from capture_sim.run.run import Run
+from capture_sim.run.series import STATE, Series, series_in
+from capture_sim.run.touches import located
 from capture_sim.studies.identify import identify, is_explained, scatter
-from capture_sim.touches import located
 
 HERE = "tilt_0"
 

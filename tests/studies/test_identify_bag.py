@@ -19,8 +19,8 @@ from noisy_bench import (
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 import capture_sim
-from capture_sim.bench import Bench
 from capture_sim.cli import main
+from capture_sim.dynamics.bench import Bench
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.messages.definitions import typestore
 from capture_sim.recording.offline import write_run

@@ -10,8 +10,8 @@ from scipy.integrate import trapezoid
 
 from capture_sim import load_scene, simulate
 from capture_sim.cli import main
-from capture_sim.launch.approach import Approach, placed
-from capture_sim.results import first_cluster
+from capture_sim.run.first_contact import first_cluster
+from capture_sim.scene.approach import Approach, placed
 from capture_sim.studies.outcome import run_first_contact, run_to_verdict
 from capture_sim.studies.paper_flow import (
     FirstContactTarget,

@@ -12,6 +12,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from capture_sim.cli import main
+from capture_sim.dynamics.samples import columns_of
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import EPOCH_NS
 from capture_sim.messages.definitions import typestore
@@ -19,7 +20,6 @@ from capture_sim.messages.topics import CAPTURE_STATUS, TOPICS
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.export import save_tables, tables_of
 from capture_sim.recording.read import read_run
-from capture_sim.samples import columns_of
 
 TF = "tf2_msgs/msg/TFMessage"
 

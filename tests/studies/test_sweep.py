@@ -21,12 +21,12 @@ from scipy import stats
 import capture_sim
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.cli import main
+from capture_sim.dynamics.samples import EXTREMES, TOUCH, Extremes
 from capture_sim.errors import RecordingError
-from capture_sim.launch.approach import approach_of, placed
 from capture_sim.recording.sweep_file import read_cases
-from capture_sim.results import LOADS, loads_of
-from capture_sim.samples import EXTREMES, TOUCH, Extremes
+from capture_sim.run.loads import LOADS, loads_of
 from capture_sim.scene import paths
+from capture_sim.scene.approach import approach_of, placed
 from capture_sim.studies import sweep as module
 from capture_sim.studies.axes import make_axis
 from capture_sim.studies.dispersion import (

@@ -5,8 +5,8 @@ import pytest
 from noisy_bench import cell_force, noisy_run, tip_force
 
 import capture_sim
-from capture_sim.bench import Bench
-from capture_sim.touches import above, in_force, in_messages, quiet_before_contact
+from capture_sim.dynamics.bench import Bench
+from capture_sim.run.touches import above, in_force, in_messages, quiet_before_contact
 
 
 def test_touches_in_a_fast_force_are_those_that_made_it():

@@ -9,8 +9,8 @@ import pytest
 from matplotlib.colors import to_rgb
 
 import capture_sim
+from capture_sim.dynamics.samples import EventKind
 from capture_sim.errors import CaptureSimError
-from capture_sim.samples import EventKind
 from capture_sim.viewing import style
 from capture_sim.viewing.curves import (
     DISTANCE,

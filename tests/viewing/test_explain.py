@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from capture_sim.base.compiled.kernels import plain
 from capture_sim.detection.criteria import (
     CaptureState,
     Criteria,
@@ -17,10 +18,9 @@ from capture_sim.detection.criteria import (
     decide_at_end,
     new_memory,
 )
-from capture_sim.kernels import plain
-from capture_sim.launch.scenes import load_scene
-from capture_sim.launch.watch import Launcher, LauncherPhase, LaunchObservation
+from capture_sim.launcher.state_machine import Launcher, LauncherPhase, LaunchObservation
 from capture_sim.messages.topics import TOPICS
+from capture_sim.scene.loading import load_scene
 from tools.diagrams import DETECTOR, LAUNCHER, draw_nodes, draw_touch
 from tools.explain import draw_geometry, save_capture_gif
 

@@ -15,7 +15,7 @@ from PIL import Image
 import capture_sim
 from capture_sim.cli import main
 from capture_sim.recording.offline import write_run
-from capture_sim.results import rows
+from capture_sim.run.summary_table import rows
 from capture_sim.viewing import style
 from capture_sim.viewing.report import error_statement
 

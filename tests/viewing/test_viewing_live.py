@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
+from capture_sim.dynamics.samples import Phase
 from capture_sim.errors import CaptureSimError
-from capture_sim.measured import measured_samples
-from capture_sim.samples import Phase
-from capture_sim.series import Series, series_in
+from capture_sim.run.reconstruction import measured_samples
+from capture_sim.run.series import Series, series_in
 from capture_sim.viewing.shapes import tip_in_cone
 
 pytest.importorskip("rerun", reason="needs rerun")

@@ -12,11 +12,11 @@ from full_disk import file_size_limit
 from matplotlib.image import imread
 
 import capture_sim
+from capture_sim.dynamics.samples import EventKind
 from capture_sim.errors import RecordingError
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
-from capture_sim.results import first_touch
-from capture_sim.samples import EventKind
+from capture_sim.run.first_contact import first_touch
 from capture_sim.viewing import style
 from capture_sim.viewing.shapes import tip_in_cone
 from capture_sim.viewing.source import resolved

@@ -1,0 +1,9 @@
+"""What every room may use and what knows nothing of a bench: files, resources, versions,
+interrupts, tables.
+
+Takes: Paths, texts, functions.
+Gives: Files that are whole once they have their name, data folders, exit statuses, compiled
+    functions.
+Must not know: Scenes, runs, messages.
+Begin with: ``files.py``.
+"""

@@ -1,0 +1,136 @@
+"""Settings of Numba's internals: a third of the time to compile, half of the time to start.
+
+They are not part of Numba's interface; :mod:`capture_sim.base.compiled.compiler` decides
+whether the installed
+version supports them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import sys
+import tempfile
+from collections.abc import Callable
+from typing import Any
+
+import numba
+from numba.core.caching import FunctionCache
+from numba.core.compiler import Compiler
+from numba.core.registry import cpu_target
+
+
+def _load_without_blas() -> None:
+    """Load Numba's support of Python and NumPy without scipy.linalg, which no kernel needs.
+
+    This saves 0.3 s; Numba treats SciPy as missing.
+    """
+    blas = "scipy.linalg.cython_blas"
+    loaded = sys.modules.get(blas)
+    sys.modules[blas] = loaded  # type: ignore[assignment]  # None: an ImportError
+    try:
+        cpu_target.typing_context.refresh()
+        cpu_target.target_context.refresh()
+    finally:
+        if loaded is None:
+            del sys.modules[blas]
+
+
+# Python gets a TypeError from an inner kernel; ``plain`` returns its Python function
+_REFUSE = ctypes.cast(ctypes.pythonapi.PyErr_BadArgument, ctypes.c_void_p).value
+
+
+class _WithoutMachineCode:
+    """Numba's code generator for kernels that only other kernels call."""
+
+    def __init__(self, codegen: Any) -> None:
+        self._codegen = codegen
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._codegen, name)
+
+    def set_env(self, env_name: str, env: Any) -> None:
+        """Do nothing: there is no machine code that needs an environment."""
+
+
+class _EntryCompiler(Compiler):
+    """Numba's compiler, which loads the support of Python and NumPy when it compiles."""
+
+    def __init__(self, *args: Any) -> None:
+        _load_without_blas()
+        super().__init__(*args)
+
+
+class _Cache(FunctionCache):
+    """Numba's cache on disk, without loading the compiler's support of Python and NumPy.
+
+    Numba loads that first, which would add 0.3 s to every start.
+    """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled code for a signature; None if there is none."""
+        return self._load_overload(sig, target_context)
+
+
+class _InnerCompiler(_EntryCompiler):
+    """Numba's compiler up to LLVM's code; the entry that calls a kernel does the rest.
+
+    Numba optimises every function with all its callees and generates machine code, then repeats
+    this in the caller: with kernels eight calls deep, that is most of the time.
+    """
+
+    def define_pipelines(self) -> Any:
+        """Return Numba's pipelines with a library that is not optimised."""
+        state = self.state
+        library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
+        library._codegen = _WithoutMachineCode(library._codegen)
+        library._optimize_final_module = lambda: None
+        library._finalize_final_module = lambda: setattr(library, "_finalized", True)
+        library.get_pointer_to_function = lambda name: _REFUSE
+        state.library = library
+        return super().define_pipelines()
+
+
+_FAST = {"contract", "nsz"}  # fused multiply and add; the sign of zero does not matter
+_INNER = {
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": _InnerCompiler,
+}
+
+
+def inner(function: Callable[..., Any], *, inline: bool) -> Any:
+    """Compile a function that only other kernels call."""
+    options = {"forceinline": True} if inline else {}
+    return numba.njit(error_model="numpy", _nrt=False, fastmath=_FAST, **options, **_INNER)(
+        function
+    )
+
+
+def entry(function: Callable[..., Any]) -> Any:
+    """Compile a function that Python calls; the result goes to ``numba.config.CACHE_DIR``."""
+    dispatcher = numba.njit(
+        error_model="numpy", _nrt=False, no_cfunc_wrapper=True, pipeline_class=_EntryCompiler
+    )(function)
+    dispatcher._cache = _Cache(function)
+    return dispatcher
+
+
+def _half(x: float) -> float:
+    return 0.5 * x
+
+
+def compiles() -> bool:
+    """Return True if this Numba compiles a small kernel, and an entry that calls it."""
+    half = inner(_half, inline=False)
+
+    def root_of_half(x: float) -> float:
+        return math.sqrt(half(x))
+
+    previous = numba.config.CACHE_DIR
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            numba.config.CACHE_DIR = folder
+            return bool(entry(root_of_half)(8.0) == 2.0)
+    finally:
+        numba.config.CACHE_DIR = previous

@@ -1,0 +1,244 @@
+"""Nodes in processes of their own: started, supervised and ended together.
+
+One set of processes serves all experiments: starting four of them costs seconds of computing, a run
+of the bench less than one.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from capture_sim.base.exit_status import BAD_INPUT, FAILED, OK, RECORDING_IN, REFUSAL
+from capture_sim.base.interrupts import tied, watch_signals
+from capture_sim.errors import CaptureSimError, MissingPackageError, explain_import_error
+from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, PLAYER, RECORDER, SIMULATOR
+from capture_sim.scene.parts import Scene
+
+#: After one node has died the others get this long to notice and to close their files, and after a
+#: SIGINT a node to end before it is killed, s.
+GRACE = 15.0
+#: What ends a command from outside.
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def check_ros() -> None:
+    """Raise MissingPackageError if ROS 2 or the compiled messages are not installed."""
+    for package in ("rclpy", "capture_sim.msg"):
+        if find_spec(package) is None:
+            raise MissingPackageError(explain_import_error(ImportError(name=package)))
+
+
+class SuiteResult(NamedTuple):
+    """What a suite has come to."""
+
+    status: int  # 0 all runs are complete; 1 a node failed or died; 2 it rejected its parameters
+    recordings: list[Path]  # in the order of the runs
+
+
+def run_suite(
+    scenes: Sequence[Scene],
+    out: Path,
+    *,
+    record: bool = True,
+    rtf: float = 0.0,
+    namespace: str = "",
+) -> SuiteResult:
+    """Run experiments one after another with the nodes, in the caller's ROS_DOMAIN_ID.
+
+    ``out``: folder of the recordings, ``<name>.mcap`` each, and of the nodes' logs; ``rtf``:
+    simulated seconds per second, 0 without pacing; ``namespace``: of all nodes and topics, e.g.
+    beside another suite in the domain.  KeyboardInterrupt after Ctrl-C (or SIGTERM), when all nodes
+    have ended.
+    """
+    consumers = [LAUNCHER, CAPTURE_DETECTOR, *([RECORDER] if record else [])]
+    with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder:
+        files = []
+        for number, scene in enumerate(scenes):
+            path = Path(folder, f"{number}.yaml")
+            path.write_text(scene.to_yaml(), encoding="utf-8")
+            files.append(str(path))
+        parameters: dict[str, dict[str, Any]] = {name: {} for name in (SIMULATOR, *consumers)}
+        parameters[SIMULATOR] = {"scenes": files, "wait_for": consumers, "rtf": float(rtf)}
+        if record:
+            parameters[RECORDER] = {"out": str(out)}
+        status, processes = _run_nodes(parameters, SIMULATOR, Path(folder), namespace, out)
+    return SuiteResult(status, [path for path in processes.recordings if path.is_file()])
+
+
+def replay(parameters: Mapping[str, Any], out: Path) -> int:
+    """Play a recording with the player; return the exit status, see :attr:`SuiteResult.status`.
+
+    The nodes named in the player's parameter ``wait_for`` are started beside it and end with it;
+    ``out``: folder of the recorder's files.  CaptureSimError if a node has rejected its parameters;
+    KeyboardInterrupt after Ctrl-C, when all nodes have ended in order.
+    """
+    check_ros()
+    nodes: dict[str, dict[str, Any]] = {PLAYER: dict(parameters)}
+    for name in parameters.get("wait_for", ()):
+        nodes[name] = {"out": str(out)} if name == RECORDER else {}
+    with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder:
+        status, processes = _run_nodes(nodes, PLAYER, Path(folder))
+    if processes.refusals:
+        raise CaptureSimError(processes.refusals[0])
+    return status
+
+
+def _run_nodes(
+    parameters: Mapping[str, Mapping[str, Any]],
+    announcer: str,
+    folder: Path,
+    namespace: str = "",
+    log: Path | None = None,
+) -> tuple[int, _Processes]:
+    """Run nodes to their end; return the status (see :func:`run_suite`) and their output."""
+    file = folder / "parameters.yaml"
+    content = {}
+    for name, values in parameters.items():
+        ends = {"exit_when_done": True} if name == SIMULATOR else {}
+        content[f"/**/{name}"] = {"ros__parameters": {**ends, **values}}
+    file.write_text(yaml.safe_dump(content), encoding="utf-8")
+    environment = dict(os.environ)
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    environment.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{severity}: {message}")
+    if log is not None and "ROS_HOME" not in environment:
+        environment.setdefault("ROS_LOG_DIR", str(log.absolute() / "log"))
+    arguments = ["--ros-args", "--params-file", str(file), "-r", f"__ns:=/{namespace.strip('/')}"]
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    where = f"on ROS_DOMAIN_ID {domain}" + (f" in {namespace}" if namespace else "")
+    _print(f"starting {', '.join(parameters)} {where}")
+    stop = threading.Event()
+    ignored = (signal.SIG_IGN, None)  # by nohup, or for a job in the background: stays so
+    restore = watch_signals(stop, [s for s in _ENDING if signal.getsignal(s) not in ignored])
+    try:
+        with _Processes(list(parameters), arguments, environment) as processes:
+            status = processes.supervise(announcer, stop)
+    finally:
+        restore()
+    return status, processes
+
+
+def _print(text: str, who: str = "suite") -> None:
+    print(f"[{who}] {text}\n", end="", flush=True)  # one write: several threads print
+
+
+class _Processes:
+    """The nodes' processes; leaving the context ends the remaining ones."""
+
+    def __init__(
+        self, names: Sequence[str], arguments: Sequence[str], environment: Mapping[str, str]
+    ) -> None:
+        self._names = names
+        self._arguments = arguments
+        self._environment = environment
+        self._running: dict[str, subprocess.Popen[str]] = {}
+        self._readers: list[threading.Thread] = []
+        self.refusals: list[str] = []  # why nodes have rejected their parameters
+        self.recordings: list[Path] = []  # files of the recorder, in their order
+
+    def __enter__(self) -> _Processes:
+        # a node inherits the blocked signals, and unblocks them once it can follow them
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+        try:
+            for name in self._names:
+                self._start(name)
+        except BaseException:
+            self._end()
+            raise
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._end()
+
+    def supervise(self, announcer: str, stop: threading.Event) -> int:
+        """Wait until all have ended; return the exit status.
+
+        The others are asked to end when the announcer has ended.  When another node dies they get
+        some time to notice, to report it and to close their files.  KeyboardInterrupt if ``stop``
+        was set.
+        """
+        began, deadline, status = time.monotonic(), math.inf, OK
+        while self._running:
+            for name, process in list(self._running.items()):
+                code = process.poll()
+                if code is None:
+                    continue
+                del self._running[name]
+                if code != OK:
+                    _print(f"{name} {_describe(code)}")
+                    status = max(status, BAD_INPUT if code == BAD_INPUT else FAILED)
+                if name == announcer:
+                    self._interrupt()
+                if code != OK or name == announcer:
+                    patience = 0.0 if code == BAD_INPUT else GRACE
+                    deadline = min(deadline, time.monotonic() + patience)
+            if self._running and time.monotonic() > deadline:
+                _print(f"ending {', '.join(self._running)}")
+                return max(status, FAILED)
+            if stop.wait(0.02):
+                raise KeyboardInterrupt
+        _print(f"all nodes have ended, after {time.monotonic() - began:.1f} s")
+        return status
+
+    def _interrupt(self) -> None:
+        for process in self._running.values():
+            process.send_signal(signal.SIGINT)
+
+    def _start(self, name: str) -> None:
+        process = subprocess.Popen(
+            tied([sys.executable, "-m", "capture_sim.nodes.start", name, *self._arguments]),
+            env=dict(self._environment),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            process_group=0,  # Ctrl-C reaches them through us alone
+        )
+        self._running[name] = process
+        reader = threading.Thread(target=self._forward, args=(name, process.stdout), daemon=True)
+        reader.start()
+        self._readers.append(reader)
+
+    def _end(self) -> None:
+        """End the remaining processes by SIGINT, and by SIGKILL if one does not react."""
+        self._interrupt()
+        deadline = time.monotonic() + GRACE
+        for name, process in self._running.items():
+            try:
+                process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                _print(f"{name} does not end on SIGINT: killed")
+                process.kill()
+                process.wait()
+        self._running.clear()
+        for reader in self._readers:
+            reader.join(1.0)
+
+    def _forward(self, name: str, stream: Any) -> None:
+        for line in stream:
+            _print(line.rstrip(), name)
+            if line.startswith(REFUSAL):
+                self.refusals.append(line.removeprefix(REFUSAL).rstrip())
+            if name == RECORDER and RECORDING_IN in line:
+                self.recordings.append(Path(line.partition(RECORDING_IN)[2].rstrip()))
+
+
+def _describe(code: int) -> str:
+    if code < 0:
+        return f"was killed by {signal.Signals(-code).name}"
+    return f"ended with exit status {code}"

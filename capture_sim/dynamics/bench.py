@@ -1,0 +1,386 @@
+"""The simulated bench: integrates a scene and returns samples and events.
+
+The offline run and the simulator node use the same object; its results do not depend on how the
+run is divided into calls.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.base.compiled.kernels import records
+from capture_sim.dynamics.engine import loop
+from capture_sim.dynamics.engine.state import N_WATCHED, Status
+from capture_sim.dynamics.event_text import AT_WALL, event_text
+from capture_sim.dynamics.memory import STATE_BYTES, Memory, first_state, joined
+from capture_sim.dynamics.model.contact import FRICTION_LAWS
+from capture_sim.dynamics.model.equations import hold_at_rest
+from capture_sim.dynamics.model.parameters import pack
+from capture_sim.dynamics.model.stiffness import stiffest_part
+from capture_sim.dynamics.sample_times import check_times, to_the_end
+from capture_sim.dynamics.samples import (
+    EXTREME_NAMES,
+    EXTREMES,
+    SAMPLE,
+    TOUCH,
+    Event,
+    EventKind,
+    Extremes,
+    Phase,
+)
+from capture_sim.errors import SimulationError
+from capture_sim.scene.launch_plan import LaunchPlan
+from capture_sim.scene.loading import check_scene
+from capture_sim.scene.parts import Scene
+
+_TRACE_ROOM = 1024
+
+#: Why the engine cannot continue, by its status.
+CAUSES = {
+    Status.NOT_FINITE: "the state is no longer finite",
+    Status.STEP_TOO_SMALL: "the step fell below 1e-15 s",
+    Status.TOO_MANY_STEPS: "run.max_steps integrator steps, rejected steps included, are used up",
+    Status.TIP_THROUGH_WALL: "the tip is pressed into a wall by more than 3/4 of its radius: "
+    "the contact is too soft for this impact",
+    Status.PROBE_IN_HINGE: "the probe is pushed in up to its tip: the scene needs stops, "
+    "or a stiffer buffer",
+    Status.STEP_TOO_LONG: "run.step is too long: the tip may leap over a wall or the latch, "
+    "or the contact is not resolved",
+    Status.ENERGY_LOST: "run.step is too long: the energy ledger deviates by more than 2 %",
+    Status.PILE_UP: "more than 100 events fell on one instant",
+}
+
+
+class Statistics(NamedTuple):
+    """Number of steps, rejected steps and evaluations of the equations of motion."""
+
+    steps: int
+    rejected: int
+    evaluations: int
+
+
+class Checkpoint(NamedTuple):
+    """State of a bench, for :meth:`Bench.restore`."""
+
+    record: np.ndarray
+    n_unread: int
+    last_time: float
+
+
+_NO_TRACE = np.zeros(0, SAMPLE)
+
+
+class Bench:
+    """One run of a scene, starting at the release.
+
+    Parameters
+    ----------
+    scene
+        Scene of the run.
+    plan
+        Launch plan; None for the plan of :func:`capture_sim.scene.loading.check_scene`.
+    trace
+        True to keep the contact at the integrator's own steps, see :attr:`trace`;
+        ``scene.run.trace`` does the same.
+    memory
+        Memory for this bench alone as long as it is used; its space for samples may be shared.
+        None for new memory.
+
+    Examples
+    --------
+    >>> from capture_sim import Bench, load_scene
+    >>> bench = Bench(load_scene("paper_designed"))
+    >>> samples = bench.advance(bench.times(0, 100))
+    >>> samples["q"].shape
+    (100, 8)
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        plan: LaunchPlan | None = None,
+        *,
+        trace: bool = False,
+        memory: Memory | None = None,
+    ) -> None:
+        self.scene = scene
+        own_plan = check_scene(scene)
+        self.plan = own_plan if plan is None else plan
+        self._memory = Memory() if memory is None else memory
+        self._workspace = self._memory.workspace
+        self._workspace.view(np.uint8)[:STATE_BYTES] = first_state(scene.run.method)
+        self._record = w = self._workspace[0]
+        self._system, stepper = w["system"], w["stepper"]
+        launch = self.plan.hanging_mass, self.plan.drop_height, self.plan.impact_speed
+        par = pack(scene, *launch)[0]
+        self._system["par"] = par
+        q, v = scene.initial_coordinates()
+        y = stepper["y"]
+        y[:8], y[8:16] = q, v
+        stepper["weights"] = 1.0 / error_scale(par)
+        has_trace = trace or scene.run.trace
+        self._trace_room = np.zeros(_TRACE_ROOM, SAMPLE) if has_trace else _NO_TRACE
+        self._traced: list[np.ndarray] = []
+        self._begin(par)
+        self._touches: list[np.void] = []
+        self._unread: list[np.ndarray] = []
+        self._last_time = -math.inf  # last requested sample time, s
+        self._fatal: str | None = None  # reason why the run cannot continue
+        detail = "no string"
+        if scene.string is not None:
+            detail = f"{self.plan.hanging_mass:.6g} kg from {self.plan.drop_height:.6g} m"
+        self._events = [Event(EventKind.RELEASE, 0.0, q, v, detail=detail)]
+
+    def _begin(self, par: np.void) -> None:
+        """Write what holds the bench at the release; ``par`` is of dtype PARAMETERS."""
+        scene, rail, mode = self.scene, self._record["rail"], self._system["mode"]
+        chaser, target = scene.initial.chaser, scene.initial.target
+        self._record["progress"]["t_stop"] = scene.run.t_end
+        mode["held"] = hold_at_rest(par)
+        if scene.rail is not None:
+            rail["on"], rail["taut"] = 1, scene.string is not None
+            rail["speed"] = math.hypot(chaser.vx, chaser.vy)
+        if scene.supports is not None:
+            if not (target.vx or target.vy or target.omega):
+                mode["rest_T"] = par["balls_T"][:, 2].any()
+            if scene.rail is None and not (chaser.vx or chaser.vy or chaser.omega):
+                mode["rest_S"] = par["balls_S"][:, 2].any()
+
+    def initial_workspace(self) -> np.ndarray:
+        """Return a copy of the engine's record, (1,) of dtype WORKSPACE.
+
+        It is the state at the release if the run has not advanced yet, for programs without Python.
+        """
+        return self._workspace.copy()
+
+    @property
+    def done(self) -> bool:
+        """True if the run has ended."""
+        return bool(self._record["progress"]["done"])
+
+    @property
+    def touches(self) -> np.ndarray:
+        """All touches that have ended so far, (n,) of dtype TOUCH."""
+        lift_off = int(EventKind.LIFT_OFF)  # NumPy is slow with an IntEnum
+        ended = [raw["touch"][raw["kind"] == lift_off] for raw in self._unread]
+        if len(ended) == 1 and not self._touches:
+            return ended[0]
+        return joined([np.array(self._touches, dtype=TOUCH), *ended])
+
+    @property
+    def trace(self) -> np.ndarray:
+        """Samples of the contact so far, one per integrator step, (n,) of dtype SAMPLE.
+
+        Empty without ``trace``.  The start of a touch, where the force is 0, is an event.
+        """
+        return self.trace_since(0)
+
+    def trace_since(self, piece: int) -> np.ndarray:
+        """Return the trace from a piece on, (n,) of dtype SAMPLE; see :attr:`trace_pieces`."""
+        pieces = self._traced[piece:]
+        return joined(pieces) if pieces else np.zeros(0, SAMPLE)
+
+    @property
+    def trace_pieces(self) -> int:
+        """Number of pieces of the trace so far."""
+        return len(self._traced)
+
+    @property
+    def events(self) -> list[Event]:
+        """Events so far, in order; the list grows as the run advances."""
+        self._read_events()
+        return self._events
+
+    def times_of(self, kind: EventKind) -> np.ndarray:
+        """Return the times of the events of a kind so far, (n,), s, without creating the events."""
+        read = [event.t for event in self._events if event.kind is kind]
+        return np.concatenate([read, *(raw["t"][raw["kind"] == int(kind)] for raw in self._unread)])
+
+    @property
+    def event_count(self) -> int:
+        """Number of events so far."""
+        return len(self._events) + sum(map(len, self._unread))
+
+    @property
+    def statistics(self) -> Statistics:
+        """Steps taken and rejected, and evaluations of the equations of motion."""
+        totals = self._record["totals"]
+        evaluations = int(self._system["evaluations"])
+        return Statistics(int(totals["steps"]), int(totals["rejected"]), evaluations)
+
+    @property
+    def extremes(self) -> Extremes:
+        """Peak strokes, torsion, penetrations and forces and the closest approach so far.
+
+        Before the end of the run, they cover the time up to the start of the current step.
+        """
+        totals = self._record["totals"]
+        values = np.empty((2, len(EXTREME_NAMES), 2))
+        values[..., 0], values[..., 1] = np.abs(totals["extreme"]), totals["extreme_time"]
+        before, after = values.reshape(2, -1).view(EXTREMES)[:, 0]
+        return Extremes(before, after if self._system["mode"]["latched"] else None)
+
+    def times(self, first: int, count: int) -> np.ndarray:
+        """Return the times, s, of ``count`` samples from number ``first``, up to the end."""
+        rate, t_end = self.scene.run.state_rate, self.scene.run.t_end
+        t: np.ndarray = np.arange(first, first + count) / rate
+        return t[t <= t_end]
+
+    def advance(self, times: np.ndarray) -> np.ndarray:
+        """Continue the run and return samples.
+
+        Parameters
+        ----------
+        times
+            (n,) sample times, s since the release: finite, ascending, and after those of earlier
+            calls.  An empty array runs to the end.
+
+        Returns
+        -------
+        ndarray
+            (m,) of dtype SAMPLE, m <= n; m < n if the run ends before the last time.
+
+        Raises
+        ------
+        SceneError
+            The times break one of these rules.
+        SimulationError
+            The integration stopped early; the message names time, phase and cause, and ``partial``
+            has the samples up to then.  Every later call raises it again, without samples.
+        """
+        times = check_times(times, self._last_time)
+        if self._fatal is not None:
+            raise SimulationError(self._fatal, np.zeros(0, SAMPLE))
+        if times.size:
+            self._last_time = float(times[-1])
+        t_stop = float(self._record["progress"]["t_stop"])
+        if not self.done and (times.size == 0 or times[-1] >= t_stop):
+            times = to_the_end(times)
+        return self._advance(times)
+
+    def finish(self, times: np.ndarray) -> np.ndarray:
+        """Run from the release to the end; as :meth:`advance`, for many runs with the same times.
+
+        ``times`` are those of :func:`to_the_end`, and ascend from 0 or later; this is not checked.
+        """
+        self._last_time = math.inf
+        return self._advance(times)
+
+    def _advance(self, times: np.ndarray) -> np.ndarray:
+        samples = self._memory.samples(times.shape[0])  # only samples[:served] are returned
+        workspace, trace = records(self._workspace), records(self._trace_room)
+        progress = self._record["progress"]
+        served = 0
+        while True:
+            progress["n_log"] = progress["n_trace"] = 0
+            served += loop.advance(workspace, times[served:], records(samples[served:]), trace)
+            n_events, n_trace = int(progress["n_log"]), int(progress["n_trace"])
+            if n_events:
+                self._unread.append(joined([self._record["log"][:n_events]]))
+            if n_trace:
+                self._traced.append(self._trace_room[:n_trace].copy())
+            if progress["status"] == Status.SERVED:
+                return samples[:served]
+            if progress["status"] != Status.INTERRUPTED:
+                raise self._failure(Status(int(progress["status"])), samples[:served])
+
+    def start_at(self, q: np.ndarray, v: np.ndarray) -> None:
+        """Begin at rates ``v`` (8,) in coordinates ``q`` (8,), free of rail and string.
+
+        Call this before the first :meth:`advance`.
+        """
+        par, rail = self._system["par"], self._record["rail"]
+        self._record["stepper"]["y"][:16] = *q, *v
+        par["m_hanging"] = par["drop_height"] = 0.0
+        rail["on"] = rail["taut"] = 0
+        rail["speed"] = 0.0
+
+    def drive_tip(self, wrench: Sequence[float], until: float) -> None:
+        """Apply a wrench to the tip, about its centre, and pause the run at a time (s).
+
+        ``wrench``: force (N) in the target's axes and torque (N m).  It acts until the latch
+        closes.  ``advance([until])`` goes up to the pause; then call this method again.
+        """
+        mode, step = self._system["mode"], self._record["step"]
+        mode["driven"], mode["wrench"] = 1, wrench
+        step["equations_changed"] = 1
+        self._record["progress"]["t_stop"] = until
+
+    def set_contact(
+        self, stiffness: float, exponent: float, chi: float, offset: float, mu: float, v_eps: float
+    ) -> None:
+        """Replace the contact of both walls by F = delta^exponent (stiffness + chi delta').
+
+        ``offset`` (m) moves the walls towards the tip, which must not touch them now.  ``mu`` and
+        ``v_eps`` (m/s) are parameters of the friction law "tanh".  Without stiffness nothing acts.
+        """
+        par = self._system["par"]
+        par["K"], par["exponent"], par["chi"], par["hysteresis"] = stiffness, exponent, chi, 0.0
+        par["R_t"] = self.scene.probe.tip_radius + offset  # the same gap
+        par["mu"], par["inverse_v_eps"] = mu, 1.0 / v_eps
+        par["friction_law"] = FRICTION_LAWS["tanh"]
+        self._record["step"]["start_measured"] = 0
+
+    def saved(self) -> Checkpoint:
+        """Return the state, for :meth:`restore` of this bench or of another one of this scene."""
+        record = self._workspace.view(np.uint8)[:STATE_BYTES].copy()
+        return Checkpoint(record, len(self._unread), self._last_time)
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go back to a saved state; events since then that were not read are forgotten."""
+        self._workspace.view(np.uint8)[:STATE_BYTES] = checkpoint.record
+        del self._unread[checkpoint.n_unread :]
+        self._last_time, self._fatal = checkpoint.last_time, None
+
+    def _failure(self, status: Status, partial: np.ndarray) -> SimulationError:
+        phase = Phase(int(self._record["sample"]["phase"])).name.lower()
+        cause = CAUSES[status]
+        if status in (Status.STEP_TOO_SMALL, Status.TOO_MANY_STEPS):
+            step, touch = self._record["step"], self._system["mode"]["touch"]
+            stiffest = stiffest_part(
+                self._system["par"],
+                penetration=-float(step["start"]["gap"][:2].min()),
+                chi=float(touch["chi"].max()),
+                force=float(self._system["out"]["normal"].max()),
+                y=self._record["stepper"]["y"],
+            )
+            if stiffest is not None:
+                part, duration = stiffest
+                cause += f"; stiffest is the {part}, with a time of {duration:.2g} s"
+        t = self._record["step"]["t0"]
+        self._fatal = f"{self.scene.name}: stopped at t = {t:.9g} s in phase {phase}: {cause}"
+        return SimulationError(self._fatal, partial)
+
+    def _read_events(self) -> None:
+        """Convert the raw events of the engine to Python objects."""
+        unread, self._unread = self._unread, []
+        for batch in unread:
+            columns = (batch[name].tolist() for name in ("kind", "t", "which", "value"))
+            for number, (code, t, which, value) in enumerate(zip(*columns, strict=True)):
+                kind, touch = EventKind(code), None
+                if kind is EventKind.LIFT_OFF:
+                    touch = batch["touch"][number]
+                    self._touches.append(touch)
+                q, v = batch["q"][number], batch["v"][number]
+                wall, detail = which if kind in AT_WALL else 0, event_text(kind, which, value)
+                self._events.append(Event(kind, t, q, v, wall, detail, touch))
+
+
+def error_scale(par: np.void) -> np.ndarray:
+    """Return the permitted error per step of each coordinate and rate: rtol times its scale.
+
+    The scale is a length (the tip's radius) and a speed (of the approach), not the state's
+    present value, so the weight of an error does not depend on the bench's place on the floor.
+    An angle counts by the displacement that it causes at the tip.  ``par`` is of dtype PARAMETERS.
+    """
+    arm, at_target = float(par["a"] + par["h_0"]), float(par["L_T"] + par["R_c"])
+    levers = (1.0, 1.0, arm, arm, 1.0, 1.0, 1.0, at_target)
+    rtol, speed, length = float(par["rtol"]), float(par["speed_scale"]), float(par["length_scale"])
+    lengths = [rtol * (length / lever) for lever in levers]
+    speeds = [rtol * (speed / lever) for lever in levers]
+    energy = rtol * float(par["m_P"]) * speed**2
+    return np.array([*lengths, *speeds, *(N_WATCHED - 16) * [energy]])

@@ -1,0 +1,549 @@
+"""The first event in a step: its definition, its search, and its time to round-off.
+
+Every touch, lift-off, latch and stop event is found, because each has a distance with a known rate:
+near it the step is so short that the cubic through value and rate at both ends shows every dip.
+Conditions without a rate (stick and slip, a vehicle that starts to move or slows down) are checked
+at the quarters and the end of a step.  One that starts and ends within a quarter is missed; it
+changes the forces by less than the error control permits.  A probe that its seat or friction holds
+begins to slide where the load reaches a limit; the cubic through load and rate, a difference
+quotient along the motion, decides whether the step is searched.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from capture_sim.base.compiled.kernels import inline_kernel, kernel
+from capture_sim.dynamics.engine.state import NO_EVENT, NO_WALL
+from capture_sim.dynamics.engine.steps import SMALL_MOVE, distance_to_edge, move_along, state_inside
+from capture_sim.dynamics.model.contact import COULOMB
+from capture_sim.dynamics.model.equations import (
+    Hold,
+    axial_force,
+    gap_and_rate,
+    slip_acceleration,
+    slip_of,
+    solve_accelerations,
+    solve_sticking,
+    stop_force,
+    tip_in_cone,
+)
+from capture_sim.dynamics.model.supports import fastest_ball, load_factor
+from capture_sim.dynamics.model.trig import sine_cosine
+from capture_sim.dynamics.samples import EventKind
+from capture_sim.dynamics.solver.roots import cubic_minimum, may_cross
+
+#: Error of the cubic of a function over a step, as a share of the function's changes.
+_CUBIC_ERROR = 0.05
+#: The same over a quarter of a step or less.
+_CUBIC_ERROR_INSIDE = 0.02
+#: A function whose slopes are within these shares of its mean slope has one root, near the chord's.
+_STRAIGHT_SLOPES = (0.7, 1.3)
+#: Round-off of a fraction of the step.
+_ROUNDING = 4e-16
+#: m: how far below zero the first correction for round-off aims.
+_DISTANCE_ROUNDING = 3e-17
+#: Newton's method ends with a correction below this share: the next one would be round-off.
+_NEWTON_DONE = 1e-9
+#: Share of the scene's speed: a smaller slip is round-off and has no direction.
+SLIP_FLOOR = 1e-10
+#: Next to the walls 0 and 1, the third place where stick and slip change: the buffer's slide.
+SLIDE = np.int64(2)
+#: Multiple of v_eps: a slower vehicle may be put at rest; see docs/model.md, supports.
+_REST_SPEED = 5.0
+#: In a repeated step, the event is sought this many times its distance before the end.
+_BRACKET_FACTOR = 3.0
+#: Share of the step: a function that rises from zero is sought above zero down to this fraction.
+_SHORTEST_RISE = 1e-15
+_NO_CROSSING = 2.0  # beyond the end of the step
+
+
+@kernel
+def stop_distance(y, par, side):
+    """Return the distance to a stroke stop (-1 compressed, +1 extended), m, and its rate, m/s."""
+    end = par.stop_compressed if side < 0 else par.stop_extended
+    return side * (end - (y[4] - par.h_0)), -side * y[12]
+
+
+@inline_kernel
+def has_distance(kind):
+    """Return True if the event has a distance with a rate, see :func:`event_value`."""
+    is_vehicle = kind == EventKind.MOVING or kind == EventKind.AT_REST
+    is_slip = kind == EventKind.STICK or kind == EventKind.SLIP
+    return not (is_vehicle or is_slip or kind == EventKind.UNSEATED)
+
+
+@kernel
+def event_value(y, par, kind, which):
+    """Return an event's function and its rate; it goes below zero when the event happens."""
+    if kind == EventKind.STOP_HIT:
+        return stop_distance(y, par, which)
+    if kind == EventKind.STOP_LEFT:
+        g, d = stop_distance(y, par, which)
+        return -g, -d
+    if kind == EventKind.SEATED:
+        return par.h_0 - y[4], -y[12]
+    px, py, wx, wy = tip_in_cone(y, par)
+    if kind == EventKind.LATCHED:
+        distance, d = distance_to_edge(px, py, wx, wy, par)
+        return distance - par.latch_radius, d
+    g, d, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * which, par)
+    if kind == EventKind.TOUCH:
+        return g, d
+    return -g, -d
+
+
+@kernel
+def value_inside(w, x, kind, which):
+    """Return an event's function and its rate at the fraction ``x`` of the present step."""
+    y = w.scratch.sought
+    state_inside(w, x, y)
+    return event_value(y, w.system.par, kind, which)
+
+
+@kernel
+def refine(w, kind, which, x_a, x_b, x):
+    """Return where an event's function passes zero between fractions x_a (>= 0) and x_b (< 0).
+
+    Newton's method from ``x``, with bisection where it would leave the bracket; to round-off.
+    2 if the function is below zero by round-off only, as it rises.
+    """
+    for _ in range(80):
+        g, d = value_inside(w, x, kind, which)
+        if g >= 0.0:
+            x_a = x
+        else:
+            x_b = x
+        if x_b - x_a <= _ROUNDING * x_b:
+            break
+        step = 0.0
+        if d != 0.0:
+            step = -g / (d * w.step.h)
+        trial = x + step
+        if d == 0.0 or not (x_a < trial < x_b):
+            trial = 0.5 * (x_a + x_b)
+        elif abs(step) <= _NEWTON_DONE * x:
+            # the error after this step is of the order of its square
+            x = trial
+            break
+        x = trial
+    # the function must be negative there and fall, or this event or its opposite follows at once
+    nudge = 0.5 * _ROUNDING * x
+    for _ in range(60):
+        g, d = value_inside(w, x, kind, which)
+        if d < 0.0:
+            if g < 0.0:
+                return x
+            nudge = max(nudge, -(g + _DISTANCE_ROUNDING) / (d * w.step.h))
+        if x + nudge >= x_b:
+            break
+        x += nudge
+        nudge *= 2.0
+    g, d = value_inside(w, x_b, kind, which)
+    return x_b if d < 0.0 else _NO_CROSSING
+
+
+@kernel
+def leave_zero(w, kind, which, low, g_low, high, g_high, d_high):
+    """Return where an event's function that rises from zero at ``low`` is above zero.
+
+    Just after an event the opposite one has such a function.  At the fraction ``high`` it is below
+    zero.  Returns that fraction, the value there and a later fraction at which the function is
+    below zero.  Where it rises by less than round-off, the value is 0 and both fractions are the
+    first one found at which it falls again; 2 if it never falls, and is below zero by round-off.
+    """
+    falls = high if d_high < 0.0 or g_high < g_low else _NO_CROSSING
+    trial = high
+    while trial - low > _SHORTEST_RISE:
+        later = trial
+        trial = low + 0.5 * (trial - low)
+        g, d = value_inside(w, trial, kind, which)
+        if g > 0.0:
+            return trial, g, later
+        if d < 0.0:
+            falls = trial
+    return falls, 0.0, falls
+
+
+@kernel
+def first_crossing(w, kind, which):
+    """Return the fraction (0..1) of a step where an event's function first falls below zero, or 2.
+
+    The root of a nearly straight function is located directly.  Otherwise the step is searched in
+    quarters, each at the minimum of the cubic through value and slope at both ends.
+    """
+    h, par = w.step.h, w.system.par
+    x_a = 0.0
+    g_a, d_a = event_value(w.stepper.y, par, kind, which)
+    is_inside = kind == EventKind.LATCHED and g_a < 0.0  # the tip starts there, at rest or leaving
+    if (g_a <= 0.0 and d_a < 0.0) or is_inside:
+        return 0.0
+    g_b, d_b = event_value(w.stepper.y_new, par, kind, which)
+    fall = (g_a - g_b) / h
+    low, high = _STRAIGHT_SLOPES
+    if g_a > 0.0 > g_b and low * fall < min(-d_a, -d_b) and max(-d_a, -d_b) < high * fall:
+        return refine(w, kind, which, 0.0, 1.0, g_a / (g_a - g_b))
+    for quarter in range(4):
+        x_b = 0.25 * (quarter + 1)
+        g_b, d_b = value_inside(w, x_b, kind, which)
+        # after an event the function rises from zero, and may be below it by round-off
+        low_a, low_g, low_d = x_a, max(g_a, 0.0), d_a
+        high_b, high_g, high_d = x_b, g_b, d_b
+        for _ in range(6):
+            if high_g < 0.0:
+                break
+            width = high_b - low_a
+            x_dip, dip = cubic_minimum(low_g, low_d * h * width, high_g, high_d * h * width)
+            slack = _CUBIC_ERROR_INSIDE * h * width * (abs(low_d) + abs(high_d))
+            if x_dip < 0.0 or dip > slack:
+                break
+            x_m = low_a + x_dip * width
+            g_m, d_m = value_inside(w, x_m, kind, which)
+            if g_m >= 0.0 and d_m < 0.0:
+                low_a, low_g, low_d = x_m, g_m, d_m
+            else:
+                high_b, high_g, high_d = x_m, g_m, d_m
+        if high_g < 0.0:
+            # the bracket must start above zero
+            x = _NO_CROSSING
+            if low_g == 0.0:
+                low_a, low_g, high_b = leave_zero(
+                    w, kind, which, low_a, min(g_a, 0.0), high_b, high_g, high_d
+                )
+                x = low_a
+            if low_g > 0.0:
+                start = 0.5 * (low_a + high_b)
+                if low_d < 0.0:
+                    start = low_a + (high_b - low_a) * low_g / (low_g - high_g)
+                x = refine(w, kind, which, low_a, high_b, start)
+            if x <= 1.0:
+                return x
+        x_a, g_a, d_a = x_b, g_b, d_b
+    return _NO_CROSSING
+
+
+@kernel
+def is_slow(y, par, which, factor):
+    """Return True if a vehicle is slower than ``factor`` times the rest speed."""
+    limit = factor * _REST_SPEED * par.v_eps_ball
+    first, heading, balls = (8, 2, par.balls_S) if which == 0 else (13, 7, par.balls_T)
+    vx, vy, omega = y[first], y[first + 1], y[first + 2]
+    # lower limit of the first ball's speed, without sines
+    turning = abs(omega) * (abs(balls[0, 0]) + abs(balls[0, 1]))
+    if max(abs(vx), abs(vy)) > limit + turning:
+        return False
+    s, c = sine_cosine(y[heading])
+    return fastest_ball(vx, vy, omega, c, s, balls) < limit
+
+
+@kernel
+def ratio_of_limit(y, par, hold, which):
+    """Return the share of its supports' limit that a vehicle needs to stay at rest.
+
+    ``hold`` (6,) is the load on the supports at ``y``, see ``OUT``.
+    """
+    if which == 0:
+        s, c = sine_cosine(y[2])
+        return load_factor(hold[0], hold[1], hold[2], c, s, par.balls_S)
+    s, c = sine_cosine(y[7])
+    return load_factor(hold[3], hold[4], hold[5], c, s, par.balls_T)
+
+
+@kernel
+def forward_slip(y, system, i):
+    """Return the slip of a sliding tip or probe in its direction, above the floor, m/s.
+
+    Of the tip on wall ``i``, or of the probe in its SLIDE.
+    """
+    par, mode = system.par, system.mode
+    if i == SLIDE:
+        forward = y[12] * mode.slide_direction
+    else:
+        forward = slip_of(y, par, i) * mode.touch[i].direction
+    return forward + SLIP_FLOOR * par.speed_scale
+
+
+@kernel
+def forward_slip_rate(y, f, system, i):
+    """Return d/dt of :func:`forward_slip` for accelerations f[8:16], m/s^2."""
+    par, mode = system.par, system.mode
+    if i == SLIDE:
+        return f[12] * mode.slide_direction
+    return slip_acceleration(y, f, par, i) * mode.touch[i].direction
+
+
+@kernel
+def unused_friction(y, system, i):
+    """Return the friction force that a sticking tip on wall ``i`` does not need, N."""
+    out = system.out
+    solve_sticking(y, system.spare[0], system)
+    return system.par.mu_s * out.normal[i] - abs(out.friction_force[i])
+
+
+@inline_kernel
+def is_sticking_tip(mode, i):
+    """Return True if the tip sticks on wall ``i``; a probe that sticks is held."""
+    return i != SLIDE and mode.touch[i].sticking == 1
+
+
+@kernel
+def slip_changes(y, system, i):
+    """Return True if tip or probe slides no more in its direction, or the tip sticks no more."""
+    if is_sticking_tip(system.mode, i):
+        return unused_friction(y, system, i) <= 0.0
+    return forward_slip(y, system, i) <= 0.0
+
+
+@kernel
+def held_load(y, system):
+    """Return the axial force of a held probe, N."""
+    solve_accelerations(y, system.spare[0], system)
+    return system.out.axial_force
+
+
+@kernel
+def hold_limits(y, system):
+    """Return the axial forces between which seat and friction hold a probe, N.
+
+    Beyond the first it slides outwards, beyond the second inwards; a seat lets nothing out.
+    """
+    par, mode = system.par, system.mode
+    stroke = y[4] - par.h_0
+    load, _ = axial_force(stroke, 0.0, 0.0, par)
+    if mode.stop:
+        push, _ = stop_force(stroke, 0.0, mode.stop, par)
+        load += push
+    lower = -math.inf if mode.held == Hold.SEAT else load - par.slide_friction
+    return lower, load + par.slide_friction
+
+
+@kernel
+def measure_hold(w):
+    """Write a held probe's load and its rate at both ends of the step."""
+    step, stepper, system = w.step, w.stepper, w.system
+    load, rate, mode = step.hold_load, step.hold_load_rate, system.mode
+    load[0] = held_load(stepper.y, system)
+    load[1] = held_load(stepper.y_new, system)
+    if mode.touch[0].on or mode.touch[1].on or mode.latched:
+        small, moved = SMALL_MOVE * step.h, w.scratch.moved
+        move_along(stepper.y, stepper.K[0], small, 0, moved)
+        rate[0] = (held_load(moved, system) - load[0]) / small
+        move_along(stepper.y_new, stepper.K[stepper.stages], -small, 0, moved)
+        rate[1] = (load[1] - held_load(moved, system)) / small
+    else:
+        rate[0] = rate[1] = (load[1] - load[0]) / step.h
+
+
+@kernel
+def limit_passed_by(w, side, limit):
+    """Return a fraction (0..1) of the step by which a held probe's load passes a limit; 2 if none.
+
+    ``side`` is +1 for the upper limit (N), -1 for the lower one, which is given as its negative.
+    """
+    step = w.step
+    start, end = limit - side * step.hold_load[0], limit - side * step.hold_load[1]
+    if start <= 0.0 and w.progress.released_at_t0:
+        # held again at the same time: the excess load is round-off
+        return _NO_CROSSING
+    rate_a = -side * step.h * step.hold_load_rate[0]
+    rate_b = -side * step.h * step.hold_load_rate[1]
+    if end > 0.0 and not may_cross(max(start, 0.0), rate_a, end, rate_b, _CUBIC_ERROR):
+        return _NO_CROSSING
+    x_dip, _ = cubic_minimum(start, rate_a, end, rate_b)
+    earliest = 1.0 if end <= 0.0 else _NO_CROSSING
+    y = w.scratch.sought
+    for k in range(4):
+        x = 0.25 * (k + 1) if k < 3 else x_dip
+        if 0.0 < x < earliest:
+            state_inside(w, x, y)
+            if side * held_load(y, w.system) >= limit:
+                earliest = x
+    return earliest
+
+
+@kernel
+def hold_lost_by(w):
+    """Return a fraction (0..1) of the step by which the probe is held no more; 2 if none."""
+    lower, upper = hold_limits(w.stepper.y, w.system)
+    x = limit_passed_by(w, 1.0, upper)
+    if w.system.mode.held == Hold.FRICTION:
+        x = min(x, limit_passed_by(w, -1.0, -lower))
+    return x
+
+
+@inline_kernel
+def release_of(mode):
+    """Return kind and place of the event by which a held probe begins to slide."""
+    if mode.held == Hold.SEAT:
+        return EventKind.UNSEATED, NO_WALL
+    return EventKind.SLIP, SLIDE
+
+
+@kernel
+def condition_holds(y, system, kind, which):
+    """Return True if the condition of MOVING, AT_REST, STICK, UNSEATED or a probe's SLIP is met."""
+    if kind == EventKind.UNSEATED or kind == EventKind.SLIP:
+        load = held_load(y, system)
+        lower, upper = hold_limits(y, system)
+        return load >= upper or load <= lower
+    if kind == EventKind.MOVING:
+        solve_accelerations(y, system.spare[0], system)
+        return ratio_of_limit(y, system.par, system.out.hold, which) > 1.0
+    if kind == EventKind.AT_REST:
+        return is_slow(y, system.par, which, 1.0)
+    return slip_changes(y, system, which)
+
+
+@kernel
+def bisect_condition(w, kind, which, x_b):
+    """Return the fraction of the step at which a condition is first met, for one met at ``x_b``.
+
+    Newton's method would fail: the margin is often zero at the start as well (slip after a change).
+    """
+    x_a, y = 0.0, w.scratch.sought
+    while x_b - x_a > 1e-15:
+        x = 0.5 * (x_a + x_b)
+        state_inside(w, x, y)
+        if condition_holds(y, w.system, kind, which):
+            x_b = x
+        else:
+            x_a = x
+    return x_b
+
+
+@kernel
+def slip_changed_by(w, i):
+    """Return a fraction (0..1) of the step by which slip has changed; 2 if none.
+
+    Of the tip on wall ``i``, or of a sliding probe in its SLIDE.
+
+    Slip may reverse twice within a step, and the holding force may oscillate, so both are also
+    checked inside the step; while sliding, only if the cubic of the slip may cross zero.
+    """
+    system, stepper = w.system, w.stepper
+    if slip_changes(stepper.y_new, system, i):
+        return 1.0
+    x_dip = -1.0
+    if not is_sticking_tip(system.mode, i):
+        start = max(forward_slip(stepper.y, system, i), 0.0)
+        end = forward_slip(stepper.y_new, system, i)
+        rate_a = w.step.h * forward_slip_rate(stepper.y, stepper.K[0], system, i)
+        rate_b = w.step.h * forward_slip_rate(stepper.y_new, stepper.K[stepper.stages], system, i)
+        if not may_cross(start, rate_a, end, rate_b, _CUBIC_ERROR):
+            return _NO_CROSSING
+        x_dip, _ = cubic_minimum(start, rate_a, end, rate_b)
+    earliest, y = _NO_CROSSING, w.scratch.sought
+    for k in range(4):
+        x = 0.25 * (k + 1) if k < 3 else x_dip
+        if 0.0 < x < earliest:
+            state_inside(w, x, y)
+            if slip_changes(y, system, i):
+                earliest = x
+    return earliest
+
+
+@kernel
+def keep_earliest(w, x, kind, which):
+    """Keep an event at the fraction ``x`` of the step if it is the earliest so far."""
+    event = w.event
+    if x < event.x:
+        event.x = x
+        event.kind = kind
+        event.which = which
+
+
+@kernel
+def search_step(w):
+    """Find the first event in the step and write it to ``w.event``."""
+    step, event, slow = w.step, w.event, w.progress.slow
+    start, end = step.start, step.end
+    par, mode = w.system.par, w.system.mode
+    h = step.h
+    event.x = _NO_CROSSING
+    event.kind = NO_EVENT
+    if not mode.latched and par.K > 0.0:
+        for i in range(2):
+            kind = EventKind.LIFT_OFF if mode.touch[i].on else EventKind.TOUCH
+            sign = -1.0 if mode.touch[i].on else 1.0
+            g_a, d_a = max(sign * start.gap[i], 0.0), sign * start.gap_rate[i]
+            g_b, d_b = sign * end.gap[i], sign * end.gap_rate[i]
+            if may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_ERROR):
+                keep_earliest(w, first_crossing(w, kind, i), kind, i)
+        if par.friction_law == COULOMB:
+            for i in range(2):
+                if mode.touch[i].on:
+                    x = slip_changed_by(w, i)
+                    if x <= 1.0:
+                        x = bisect_condition(w, EventKind.STICK, i, x)
+                        keep_earliest(w, x, EventKind.STICK, i)
+    if (
+        par.has_latch
+        and not mode.latched
+        and may_cross(
+            start.gap[2], start.gap_rate[2] * h, end.gap[2], end.gap_rate[2] * h, _CUBIC_ERROR
+        )
+    ):
+        x = first_crossing(w, EventKind.LATCHED, NO_WALL)
+        keep_earliest(w, x, EventKind.LATCHED, NO_WALL)
+    if par.has_stops:
+        for side in (-1, 1):
+            if mode.stop == -side or (side > 0 and par.stop_extended == math.inf):
+                continue
+            kind = EventKind.STOP_LEFT if mode.stop == side else EventKind.STOP_HIT
+            g_a, d_a = event_value(w.stepper.y, par, kind, side)
+            g_b, d_b = event_value(w.stepper.y_new, par, kind, side)
+            if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, _CUBIC_ERROR):
+                keep_earliest(w, first_crossing(w, kind, side), kind, side)
+    if mode.held:
+        measure_hold(w)
+        x = hold_lost_by(w)
+        if x <= 1.0:
+            kind, place = release_of(mode)
+            x = bisect_condition(w, kind, place, x)
+            keep_earliest(w, x, kind, place)
+    elif par.slide_friction > 0.0:
+        x = slip_changed_by(w, SLIDE)
+        if x <= 1.0:
+            x = bisect_condition(w, EventKind.STICK, SLIDE, x)
+            keep_earliest(w, x, EventKind.STICK, SLIDE)
+    if par.preload > 0.0 and not mode.held:
+        kind = EventKind.SEATED
+        g_a, d_a = event_value(w.stepper.y, par, kind, NO_WALL)
+        g_b, d_b = event_value(w.stepper.y_new, par, kind, NO_WALL)
+        # just off its seat, the probe's stroke grows as t^3: a dip of the cubic is not real
+        has_just_left = g_a <= 0.0 and d_a == 0.0
+        if g_b < 0.0 or (not has_just_left and may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_ERROR)):
+            keep_earliest(w, first_crossing(w, kind, NO_WALL), kind, NO_WALL)
+    if par.has_supports:
+        for which in range(2):
+            resting = mode.rest_S if which == 0 else mode.rest_T
+            if resting and ratio_of_limit(w.stepper.y_new, par, step.hold, which) > 1.0:
+                x = bisect_condition(w, EventKind.MOVING, which, 1.0)
+                keep_earliest(w, x, EventKind.MOVING, which)
+            if not (resting or slow[which]) and is_slow(w.stepper.y_new, par, which, 1.0):
+                x = bisect_condition(w, EventKind.AT_REST, which, 1.0)
+                keep_earliest(w, x, EventKind.AT_REST, which)
+
+
+@kernel
+def search_again(w, kind, which, x):
+    """Find the first event in a repeated step, which ends just past the event found before.
+
+    If that event is not near the fraction ``x``, the whole step is searched.
+    """
+    event, par = w.event, w.system.par
+    x_a = 1.0 - _BRACKET_FACTOR * (1.0 - x)
+    if has_distance(kind):
+        g_b, _ = event_value(w.stepper.y_new, par, kind, which)
+        if g_b < 0.0:
+            g_a, _ = value_inside(w, x_a, kind, which)
+            if g_a > 0.0:
+                x = refine(w, kind, which, x_a, 1.0, x)
+                if x <= 1.0:
+                    event.x = x
+                    event.kind = kind
+                    event.which = which
+                    return
+    search_step(w)

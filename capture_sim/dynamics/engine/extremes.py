@@ -1,0 +1,495 @@
+"""Loads: peak forces, strokes and penetrations, and the closest approach, inside the steps.
+
+A quantity exceeds its values at both ends of a segment only if the cubic through value and rate has
+a maximum in between; there it is searched on the dense output.  The extremes therefore do not
+depend on the sample times, and on the steps only within the error of the run.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+
+import numpy as np
+
+from capture_sim.base.compiled.kernels import inline_kernel, kernel
+from capture_sim.dynamics.engine.events import held_load
+from capture_sim.dynamics.engine.steps import SMALL_MOVE, distance_to_edge, move_along, state_inside
+from capture_sim.dynamics.model.contact import normal_force, raised_depth
+from capture_sim.dynamics.model.equations import (
+    axial_force,
+    axial_force_rate,
+    gap_acceleration,
+    gap_and_rate,
+    hinge_torque,
+    hinge_torque_rate,
+    stop_force,
+    tip_in_cone,
+)
+from capture_sim.dynamics.samples import EXTREME_NAMES
+from capture_sim.dynamics.solver.roots import cubic_minimum
+
+_GOLDEN = 0.6180339887498949
+#: Shares of the segment: half the bracket around the best trial, the width at which parabolas
+#: replace golden sections, and the smallest width of a parabola.
+_BRACKET, _PARABOLAS, _MIN_PARABOLA = 0.25, 0.05, 1e-6
+#: Shares of the sum of both slopes: limit of the rise of a cubic above its ends (at most 4/27),
+#: and of the rise of the quantity above the cubic.
+_CUBIC_RISE, _CUBIC_ERROR = 0.25, 0.02
+#: Share of the latter: a quantity this close to its cubic has its maximum where the cubic has it.
+_TRUSTED = 0.1
+#: A sustained contact: a segment longer than _RIPPLE_ANGLE, rad of the contact's oscillation, whose
+#: force is close to the peak, by _RIPPLE, is evaluated at this many places, since the dense output
+#: ripples between its ends.
+_RIPPLE_ANGLE, _RIPPLE, _PLACES = 1.0, 0.02, 16
+#: Share of the rates at the ends and the middle of a segment in contact: limit of the rise inside.
+_RATE_RISE = 1.0
+
+
+class Watched(IntEnum):
+    """A quantity whose maximum is searched, with a side where there are two."""
+
+    STROKE = 0  # -1 inwards, +1 outwards
+    TORSION = 1  # either direction
+    NEARNESS = 2  # minus the distance of the tip to the centre of BE
+    PENETRATION = 3  # of the wall on that side
+    PENETRATION_RATE = 4
+    NORMAL_FORCE = 5
+    BUFFER_FORCE = (
+        6  # of spring, damper, friction, stop and seat; -1 pulling, +1 pushing the probe out
+    )
+    BUFFER_TORQUE = 7  # either direction
+    LATCH_FORCE = 8
+
+
+STROKE_IN, STROKE_OUT, TORSION, BUFFER_FORCE, BUFFER_TORQUE = (
+    np.int64(EXTREME_NAMES.index(name))
+    for name in ("axial_stroke_in", "axial_stroke_out", "torsion", "buffer_force", "buffer_torque")
+)
+NORMAL_FORCE_PLUS_Y, LATCH_FORCE, PENETRATION, TIP_DISTANCE = (
+    np.int64(EXTREME_NAMES.index(name))
+    for name in ("normal_force_plus_y", "latch_force", "penetration", "tip_distance")
+)
+
+
+@kernel
+def buffer_force_at(y, system):
+    """Return the force of axial spring, damper, friction, stop and seat on the probe, N."""
+    par, stop = system.par, system.mode.stop
+    if system.mode.held:
+        return held_load(y, system)
+    stroke, rate = y[4] - par.h_0, y[12]
+    force, _ = axial_force(stroke, rate, system.mode.slide_direction, par)
+    if stop:
+        push, _ = stop_force(stroke, rate, stop, par)
+        force += push
+    return force
+
+
+@kernel
+def buffer_torque_at(y, par):
+    """Return the torque of the torsional spring and its damper on the cylinder, N m."""
+    torque, _ = hinge_torque(y[3] - y[2], y[11] - y[10], par)
+    return torque
+
+
+@inline_kernel
+def latch_force_of(tip, system):
+    """Return the magnitude of the latch's force, N, on a tip given as by :func:`tip_in_cone`."""
+    par, mode = system.par, system.mode
+    px, py, wx, wy = tip[0], tip[1], tip[2], tip[3]
+    return math.hypot(
+        par.k_L * (px - mode.latch_x) + par.c_L * wx, par.k_L * (py - mode.latch_y) + par.c_L * wy
+    )
+
+
+@kernel
+def latch_force_at(y, system):
+    """Return the magnitude of the latch's force on the tip, N."""
+    return latch_force_of(tip_in_cone(y, system.par), system)
+
+
+@kernel
+def value_at(w, x, quantity, side):
+    """Return a quantity at the fraction ``x`` of the present step."""
+    y, par = w.scratch.watched, w.system.par
+    state_inside(w, x, y)
+    if quantity == Watched.BUFFER_FORCE:
+        return side * buffer_force_at(y, w.system)
+    if quantity == Watched.BUFFER_TORQUE:
+        return side * buffer_torque_at(y, par)
+    if quantity == Watched.LATCH_FORCE:
+        return latch_force_at(y, w.system)
+    if quantity == Watched.STROKE:
+        return side * (y[4] - par.h_0)
+    if quantity == Watched.TORSION:
+        return side * (y[3] - y[2])
+    px, py, wx, wy = tip_in_cone(y, par)
+    if quantity == Watched.NEARNESS:
+        return -math.hypot(px + par.L_T, py)
+    gap, rate, _, _ = gap_and_rate(px, py, wx, wy, side, par)
+    if quantity == Watched.PENETRATION:
+        return -gap
+    if quantity == Watched.PENETRATION_RATE:
+        return -rate
+    force, _ = normal_force(
+        -gap, -rate, par.K, par.exponent, w.system.mode.touch[0 if side > 0 else 1].chi
+    )
+    return force
+
+
+@kernel
+def search_bracket(w, quantity, side, x, f):
+    """Return fraction, value and half the bracket of a segment's maximum, by golden sections.
+
+    The bracket surrounds the best of ``x``, with value ``f``, and the quarters of the segment.
+    """
+    x_end = w.step.x_end
+    for quarter in range(1, 4):
+        x1 = 0.25 * quarter * x_end
+        f1 = value_at(w, x1, quantity, side)
+        if f1 > f:
+            x, f = x1, f1
+    a, b = max(0.0, x - _BRACKET * x_end), min(x_end, x + _BRACKET * x_end)
+    x1 = b - _GOLDEN * (b - a)
+    x2 = a + _GOLDEN * (b - a)
+    f1 = value_at(w, x1, quantity, side)
+    f2 = value_at(w, x2, quantity, side)
+    while b - a > _PARABOLAS * x_end:
+        if f1 < f2:
+            a, x1, f1 = x1, x2, f2
+            x2 = a + _GOLDEN * (b - a)
+            f2 = value_at(w, x2, quantity, side)
+        else:
+            b, x2, f2 = x2, x1, f1
+            x1 = b - _GOLDEN * (b - a)
+            f1 = value_at(w, x1, quantity, side)
+    if f1 > f2:
+        return x1, f1, 0.5 * (b - a)
+    return x2, f2, 0.5 * (b - a)
+
+
+@kernel
+def search_top(w, quantity, side, x, f, width):
+    """Return fraction and value of a maximum near ``x``, of value ``f``, and whether it is one.
+
+    By parabolas through three points that are ``width`` apart at first.
+    """
+    x_end, shift = w.step.x_end, 1.0
+    for _ in range(5):
+        width = min(width, x, x_end - x)
+        if width < _MIN_PARABOLA * x_end:
+            break
+        left = value_at(w, x - width, quantity, side)
+        right = value_at(w, x + width, quantity, side)
+        bend = left - 2.0 * f + right
+        shift = 0.5 * (left - right) / bend if bend < 0.0 else math.copysign(1.0, right - left)
+        trial = x + width * min(1.0, max(-1.0, shift))
+        top = value_at(w, trial, quantity, side)
+        if top > f:
+            x, f = trial, top
+        if abs(shift) < 1.0:
+            width *= 0.1
+            if abs(shift) < 0.1 and width < 1e-3 * x_end:
+                break
+    return x, f, abs(shift) < 1.0
+
+
+@kernel
+def largest_inside(w, quantity, side, x, expected, tolerance):
+    """Return fraction and value of a quantity's maximum within the present segment.
+
+    It is sought near ``x`` if the value there is ``expected`` within ``tolerance``, else in the
+    whole segment.
+    """
+    f = value_at(w, x, quantity, side)
+    if abs(f - expected) <= tolerance:
+        x_top, top, is_maximum = search_top(
+            w, quantity, side, x, f, 0.5 * _PARABOLAS * w.step.x_end
+        )
+        if is_maximum:
+            return x_top, top
+    x, f, width = search_bracket(w, quantity, side, x, f)
+    x, f, _ = search_top(w, quantity, side, x, f, width)
+    return x, f
+
+
+@kernel
+def keep_maximum(totals, row, slot, value, t):
+    """Keep a value and its time if it is the largest so far."""
+    if value > totals.extreme[row, slot]:
+        totals.extreme[row, slot] = value
+        totals.extreme_time[row, slot] = t
+
+
+@inline_kernel
+def may_exceed(largest, width, v_a, d_a, v_b, d_b):
+    """Return True if the cubic through two values and rates may rise above ``largest``.
+
+    ``width`` (s) is the length of the segment.  Most segments end with this cheap test.
+    """
+    return max(v_a, v_b) + _CUBIC_RISE * width * (abs(d_a) + abs(d_b)) > largest
+
+
+@kernel
+def rise_inside(w, quantity, side, largest, v_a, d_a, v_b, d_b):
+    """Return fraction and value of a maximum above ``largest`` inside a segment; -1 if none.
+
+    ``v_a``, ``d_a``, ``v_b`` and ``d_b`` are values and rates at the ends of the segment.
+    """
+    width = w.step.x_end * w.step.h
+    if not may_exceed(largest, width, v_a, d_a, v_b, d_b):
+        return -1.0, largest
+    x_dip, dip = cubic_minimum(-v_a, -d_a * width, -v_b, -d_b * width)
+    tolerance = _CUBIC_ERROR * width * (abs(d_a) + abs(d_b))
+    if x_dip < 0.0 or -dip + tolerance <= largest:
+        return -1.0, largest
+    x = x_dip * w.step.x_end
+    x, value = largest_inside(w, quantity, side, x, -dip, _TRUSTED * tolerance)
+    if value > largest:
+        return x, value
+    return -1.0, largest
+
+
+@kernel
+def watch(w, quantity, side, slot, v_a, d_a, v_b, d_b):
+    """Keep a quantity's maximum over a segment, from values and rates at its ends."""
+    step, totals, row = w.step, w.totals, w.system.mode.latched
+    # a force jumps at an impact, and at a stop with a damper
+    keep_maximum(totals, row, slot, v_a, step.t0)
+    keep_maximum(totals, row, slot, v_b, step.t1)
+    x, value = rise_inside(w, quantity, side, totals.extreme[row, slot], v_a, d_a, v_b, d_b)
+    if x >= 0.0:
+        keep_maximum(totals, row, slot, value, step.t0 + x * step.h)
+
+
+@inline_kernel
+def watch_magnitude(w, quantity, slot, v_a, d_a, v_b, d_b):
+    """Keep the largest magnitude of a quantity over a segment."""
+    largest, width = w.totals.extreme[w.system.mode.latched, slot], w.step.x_end * w.step.h
+    for side in (-1.0, 1.0):
+        if may_exceed(largest, width, side * v_a, d_a, side * v_b, d_b):
+            watch(w, quantity, side, slot, side * v_a, side * d_a, side * v_b, side * d_b)
+
+
+@kernel
+def watch_extremes(w):
+    """Keep strokes, torsion, closest approach and contact extremes of the segment that ends."""
+    start, end = w.step.start, w.step.end
+    mode, par = w.system.mode, w.system.par
+    a, b = w.stepper.y, w.y_end
+    largest, width = w.totals.extreme[mode.latched], w.step.x_end * w.step.h
+    for side in (-1.0, 1.0):
+        slot = STROKE_IN if side < 0.0 else STROKE_OUT
+        s_a, s_b, r_a, r_b = side * (a[4] - par.h_0), side * (b[4] - par.h_0), a[12], b[12]
+        if may_exceed(largest[slot], width, s_a, r_a, s_b, r_b):
+            watch(w, Watched.STROKE, side, slot, s_a, side * r_a, s_b, side * r_b)
+    watch_magnitude(
+        w, Watched.TORSION, TORSION, a[3] - a[2], a[11] - a[10], b[3] - b[2], b[11] - b[10]
+    )
+    d_a, d_b = start.gap[2] + par.latch_radius, end.gap[2] + par.latch_radius
+    r_a, r_b = -start.gap_rate[2], -end.gap_rate[2]
+    if may_exceed(largest[TIP_DISTANCE], width, -d_a, r_a, -d_b, r_b):
+        watch(w, Watched.NEARNESS, 0.0, TIP_DISTANCE, -d_a, r_a, -d_b, r_b)
+    for i in range(2):
+        if mode.touch[i].on:
+            watch_touch(w, i)
+
+
+@kernel
+def force_and_rate(depth, rate, acceleration, K, exponent, chi):
+    """Return the normal force (N) and its rate (N/s) for a penetration and its derivatives."""
+    force, _ = normal_force(depth, rate, K, exponent, chi)
+    if force <= 0.0:
+        return 0.0, 0.0
+    slope = exponent * rate * (K + chi * rate) + chi * depth * acceleration
+    return force, raised_depth(depth, exponent) / depth * slope
+
+
+@inline_kernel
+def may_ripple(w, touch, p_b, f_a, f_b):
+    """Return True if the force of a sustained contact may pass its peak within the segment.
+
+    ``p_b`` is the penetration at its end, m; ``f_a`` and ``f_b`` the forces at both ends, N.
+    """
+    par, width = w.system.par, w.step.x_end * w.step.h
+    if p_b <= 0.0 or (1.0 + _RIPPLE) * max(f_a, f_b) <= touch.peak_force:
+        return False
+    stiffness = par.exponent * par.K * raised_depth(p_b, par.exponent) / p_b
+    return width * width * stiffness > _RIPPLE_ANGLE * _RIPPLE_ANGLE * par.m_P
+
+
+@kernel
+def scan_force(w, side):
+    """Return fraction and value of the largest of several maxima of a normal force."""
+    x_end = w.step.x_end
+    best, force = 0.0, 0.0
+    for k in range(1, _PLACES):
+        x = k * x_end / _PLACES
+        f = value_at(w, x, Watched.NORMAL_FORCE, side)
+        if f > force:
+            best, force = x, f
+    best, force, _ = search_top(w, Watched.NORMAL_FORCE, side, best, force, x_end / _PLACES)
+    return best, force
+
+
+@kernel
+def watch_touch(w, i):
+    """Keep peak penetration, its rate and the normal force of wall ``i`` inside the segment."""
+    step, stepper, par = w.step, w.stepper, w.system.par
+    K, exponent = par.K, par.exponent
+    start, end = step.start, step.end
+    side, touch = 1.0 - 2.0 * i, w.system.mode.touch[i]
+    width = step.x_end * step.h
+    p_a, r_a = -start.gap[i], -start.gap_rate[i]
+    p_b, r_b = -end.gap[i], -end.gap_rate[i]
+    largest = w.totals.extreme[w.system.mode.latched, PENETRATION]
+    if may_exceed(largest, width, p_a, r_a, p_b, r_b):
+        watch(w, Watched.PENETRATION, side, PENETRATION, p_a, r_a, p_b, r_b)
+    touch.largest_rate = max(touch.largest_rate, r_b)
+    force, _ = normal_force(p_b, r_b, K, exponent, touch.chi)
+    force_a, _ = normal_force(p_a, r_a, K, exponent, touch.chi)
+    if may_ripple(w, touch, p_b, force_a, force):
+        x, peak = scan_force(w, side)
+        if peak > touch.peak_force:
+            touch.peak_force = peak
+            touch.peak_time = step.t0 + x * step.h
+    if force > touch.peak_force:
+        touch.peak_force = force
+        touch.peak_time = step.t1
+    # rate in the middle of the cubic, and limits of rate and depth inside the segment
+    r_m = 1.5 * (p_b - p_a) / width - 0.25 * (r_a + r_b)
+    swing = abs(r_a) + abs(r_b) + abs(r_m)
+    rate = max(r_a, r_b, r_m) + _RATE_RISE * swing
+    depth = max(p_a, p_b) + _CUBIC_RISE * width * swing
+    force, _ = normal_force(depth, rate, K, exponent, touch.chi)
+    if rate > touch.largest_rate or force > touch.peak_force:
+        a_a = -gap_acceleration(stepper.y, stepper.K[0], w.system.par, i)
+        if step.x_end == 1.0:
+            a_b = -gap_acceleration(w.y_end, stepper.K[stepper.stages], w.system.par, i)
+        else:
+            before = value_at(w, (1.0 - SMALL_MOVE) * step.x_end, Watched.PENETRATION_RATE, side)
+            a_b = (r_b - before) / (SMALL_MOVE * width)
+        _, touch.largest_rate = rise_inside(
+            w, Watched.PENETRATION_RATE, side, touch.largest_rate, r_a, a_a, r_b, a_b
+        )
+        f_a, d_a = force_and_rate(p_a, r_a, a_a, K, exponent, touch.chi)
+        f_b, d_b = force_and_rate(p_b, r_b, a_b, K, exponent, touch.chi)
+        if step.x_end < 1.0 and step.t0 == touch.start:
+            # the whole touch may lie in this segment, with the force zero at both ends
+            x, peak = largest_inside(w, Watched.NORMAL_FORCE, side, 0.5 * step.x_end, 0.0, -1.0)
+        else:
+            x, peak = rise_inside(
+                w, Watched.NORMAL_FORCE, side, touch.peak_force, f_a, d_a, f_b, d_b
+            )
+        if peak > touch.peak_force:
+            touch.peak_force = peak
+            touch.peak_time = step.t0 + x * step.h
+    slot = NORMAL_FORCE_PLUS_Y + i
+    keep_maximum(w.totals, w.system.mode.latched, slot, touch.peak_force, touch.peak_time)
+
+
+@inline_kernel
+def buffer_force_rate(y, acceleration, system):
+    """Return d/dt of :func:`buffer_force_at` of a sliding probe, N/s."""
+    par, stop = system.par, system.mode.stop
+    stroke, rate = y[4] - par.h_0, y[12]
+    total = axial_force_rate(stroke, rate, acceleration, par)
+    if stop:
+        total -= par.k_stop * rate + par.c_stop * acceleration
+    return total
+
+
+@kernel
+def watch_loads(w):
+    """Keep forces and torques of buffer and latch over the segment that ends."""
+    step, stepper, system = w.step, w.stepper, w.system
+    mode, par, y_a, y_b = system.mode, system.par, stepper.y, w.y_end
+    f_a, f_b = stepper.K[0], stepper.K[stepper.stages]
+    axial_b, turning_b = f_b[12], f_b[11] - f_b[10]
+    near_end, small = w.scratch.near_end, SMALL_MOVE * step.h
+    if step.x_end < 1.0:
+        # the rates only select where to search
+        state_inside(w, step.x_end - SMALL_MOVE, near_end)
+        axial_b = (y_b[12] - near_end[12]) / small
+        turning_b = (y_b[11] - y_b[10] - near_end[11] + near_end[10]) / small
+    torsion_a, torsion_b = y_a[3] - y_a[2], y_b[3] - y_b[2]
+    twist_a, twist_b = y_a[11] - y_a[10], y_b[11] - y_b[10]
+    watch_magnitude(
+        w,
+        Watched.BUFFER_TORQUE,
+        BUFFER_TORQUE,
+        buffer_torque_at(y_a, par),
+        hinge_torque_rate(torsion_a, twist_a, f_a[11] - f_a[10], par),
+        buffer_torque_at(y_b, par),
+        hinge_torque_rate(torsion_b, twist_b, turning_b, par),
+    )
+    if mode.held:
+        force_a, force_rate_a = step.hold_load[0], step.hold_load_rate[0]
+        force_b, force_rate_b = step.hold_load[1], step.hold_load_rate[1]
+        if step.x_end < 1.0:
+            force_b = buffer_force_at(y_b, system)
+            force_rate_b = (force_b - buffer_force_at(near_end, system)) / small
+    else:
+        force_a, force_b = buffer_force_at(y_a, system), buffer_force_at(y_b, system)
+        force_rate_a = buffer_force_rate(y_a, f_a[12], system)
+        force_rate_b = buffer_force_rate(y_b, axial_b, system)
+    watch_magnitude(
+        w, Watched.BUFFER_FORCE, BUFFER_FORCE, force_a, force_rate_a, force_b, force_rate_b
+    )
+    if mode.latched:
+        watch_latch(w)
+
+
+@kernel
+def watch_latch(w):
+    """Keep the latch's force over the segment that ends.
+
+    In a segment that an event has cut, ``w.scratch.near_end`` is known.
+    """
+    step, stepper, system = w.step, w.stepper, w.system
+    tip_a, tip_b, k, c = step.start.tip, step.end.tip, system.par.k_L, system.par.c_L
+    latch_a, latch_b = latch_force_of(tip_a, system), latch_force_of(tip_b, system)
+    # a coarse test with the mean acceleration
+    width = step.x_end * step.h
+    x, y = c / width * (tip_b[2] - tip_a[2]), c / width * (tip_b[3] - tip_a[3])
+    rate_a = 2.0 * math.hypot(k * tip_a[2] + x, k * tip_a[3] + y)
+    rate_b = 2.0 * math.hypot(k * tip_b[2] + x, k * tip_b[3] + y)
+    largest = w.totals.extreme[system.mode.latched, LATCH_FORCE]
+    if not may_exceed(largest, width, latch_a, rate_a, latch_b, rate_b):
+        return
+    near_start, near_end, small = w.scratch.near_start, w.scratch.near_end, SMALL_MOVE * step.h
+    move_along(stepper.y, stepper.K[0], small, 0, near_start)
+    if step.x_end == 1.0:
+        move_along(w.y_end, stepper.K[stepper.stages], -small, 0, near_end)
+    rate_a = (latch_force_at(near_start, system) - latch_a) / small
+    rate_b = (latch_b - latch_force_at(near_end, system)) / small
+    watch(w, Watched.LATCH_FORCE, 1.0, LATCH_FORCE, latch_a, rate_a, latch_b, rate_b)
+
+
+@kernel
+def watch_rail(w, y):
+    """Keep the distance to BE at the end of a segment on the rail, where it is smallest."""
+    px, py, wx, wy = tip_in_cone(y, w.system.par)
+    distance, _ = distance_to_edge(px, py, wx, wy, w.system.par)
+    keep_maximum(w.totals, w.system.mode.latched, TIP_DISTANCE, -distance, w.step.t1)
+
+
+@kernel
+def begin_extremes(w):
+    """Start the extremes, before or after the latch, with the present values."""
+    totals, y, row = w.totals, w.stepper.y, w.system.mode.latched
+    for slot in range(totals.extreme.shape[1]):
+        totals.extreme[row, slot] = 0.0
+        totals.extreme_time[row, slot] = w.step.t0
+    stroke = y[4] - w.system.par.h_0
+    totals.extreme[row, STROKE_IN] = max(-stroke, 0.0)
+    totals.extreme[row, STROKE_OUT] = max(stroke, 0.0)
+    totals.extreme[row, TORSION] = abs(y[3] - y[2])
+    totals.extreme[row, BUFFER_FORCE] = abs(buffer_force_at(y, w.system))
+    totals.extreme[row, BUFFER_TORQUE] = abs(buffer_torque_at(y, w.system.par))
+    if row:
+        totals.extreme[row, LATCH_FORCE] = latch_force_at(y, w.system)
+    px, py, wx, wy = tip_in_cone(y, w.system.par)
+    distance, _ = distance_to_edge(px, py, wx, wy, w.system.par)
+    totals.extreme[row, TIP_DISTANCE] = -distance

@@ -1,0 +1,147 @@
+"""The loop over segments and samples, with the entries that Python calls."""
+
+from __future__ import annotations
+
+from capture_sim.base.compiled.kernels import entry_kernel, kernel
+from capture_sim.dynamics.engine.consequences import end_touch, log_event
+from capture_sim.dynamics.engine.extremes import begin_extremes
+from capture_sim.dynamics.engine.rail import close_rail, plan_rail, rail_state
+from capture_sim.dynamics.engine.segment import close_step, plan_step
+from capture_sim.dynamics.engine.state import LOG_ROOM, Segment, Status
+from capture_sim.dynamics.engine.steps import make_dense
+from capture_sim.dynamics.model.equations import N_STATE, N_TOTAL, rate_of_change
+from capture_sim.dynamics.model.observe import observe
+from capture_sim.dynamics.samples import EventKind
+from capture_sim.dynamics.solver.runge_kutta import dense
+
+#: Largest number of log entries of one segment.
+_SEGMENT_EVENTS = 8
+#: Events in a row at one time; more stop the run.
+_MAX_EVENTS_AT_T0 = 100
+#: Steps of one call, about 50 ms, so that Ctrl-C is answered.
+_STEPS_PER_CALL = 20_000
+#: Share of the energy at the release; a smaller dissipation is round-off error.
+_ENERGY_ROUNDING = 1e-15
+#: Largest energy residual of a run with fixed steps, as a share of the energy of its bodies.
+_MAX_RESIDUAL = 0.02
+
+
+@kernel
+def begin(w):
+    """Set the energy at the release, and the error weights of dissipation below its round-off."""
+    totals, weights, s = w.totals, w.stepper.weights, w.sample
+    observe(w.step.t0, w.stepper.y, w, s)
+    totals.energy_0 = (
+        s.kinetic + s.elastic_axial + s.elastic_torsion + s.elastic_contact + s.elastic_latch
+    )
+    rounding = _ENERGY_ROUNDING * totals.energy_0
+    for i in range(N_STATE, weights.shape[0]):
+        if rounding * weights[i] > 1.0:
+            weights[i] = 1.0 / rounding
+    begin_extremes(w)
+    w.progress.begun = 1
+
+
+@kernel
+def end_run(w):
+    """End the present touches and log the end of the run."""
+    for i in range(2):
+        if w.system.mode.touch[i].on:
+            end_touch(w, i)
+    log_event(w, EventKind.END)
+    w.progress.done = 1
+    w.step.segment = Segment.NONE
+
+
+@kernel
+def keeps_energy(w):
+    """Return True unless fixed steps were too long for the run: its energy ledger does not close.
+
+    The sample of the end is left in ``w.sample``.
+    """
+    par, totals, s = w.system.par, w.totals, w.sample
+    if par.fixed_step == 0.0:
+        return True
+    observe(w.step.t0, w.stepper.y, w, s)
+    supplied = totals.energy_0 + s.work_string - totals.lost_landing
+    return abs(s.energy_residual) <= _MAX_RESIDUAL * supplied
+
+
+@kernel
+def sample_at(w, t, sample):
+    """Sample the present segment at ``t``."""
+    step, stepper, y = w.step, w.stepper, w.scratch.sampled
+    if step.segment == Segment.RAIL:
+        rail_state(w, t, y)
+    elif step.h == 0.0:
+        for i in range(N_TOTAL):
+            y[i] = stepper.y[i]
+    else:
+        make_dense(w)
+        dense(stepper, (t - step.t0) / step.h, y, N_TOTAL)
+    observe(t, y, w, sample)
+
+
+@entry_kernel
+def advance(workspaces, times, samples, trace):
+    """Run until all ``times`` (s) are sampled, the run is over, or the call's share is used up.
+
+    ``trace`` receives a sample at the end of each step in contact; an empty one costs nothing.
+    Returns the number of samples written; ``progress.status`` has the Status.
+    """
+    w = workspaces[0]
+    step, progress, totals = w.step, w.progress, w.totals
+    if not progress.begun:
+        begin(w)
+    last_step = totals.steps + _STEPS_PER_CALL
+    k = 0
+    while k < times.shape[0]:
+        if step.segment != Segment.NONE and times[k] <= step.t1:
+            sample_at(w, times[k], samples[k])
+            k += 1
+            continue
+        if progress.done:
+            break
+        if progress.n_log + _SEGMENT_EVENTS > LOG_ROOM or totals.steps >= last_step:
+            progress.status = Status.INTERRUPTED
+            return k
+        if trace.shape[0] > 0 and progress.n_trace == trace.shape[0]:
+            progress.status = Status.INTERRUPTED
+            return k
+        if step.segment == Segment.RAIL:
+            close_rail(w)
+        elif step.segment == Segment.STEP:
+            latched = w.system.mode.latched
+            close_step(w, trace)
+            if w.system.mode.latched != latched:
+                begin_extremes(w)
+        if step.segment != Segment.NONE and w.event.kind == EventKind.END:
+            if w.system.mode.driven:
+                step.segment = Segment.NONE  # until the next wrench
+                break
+            end_run(w)
+            if not keeps_energy(w):
+                progress.status = Status.ENERGY_LOST
+                return k
+            break
+        if progress.events_at_t0 > _MAX_EVENTS_AT_T0:
+            progress.status = Status.PILE_UP
+            observe(step.t0, w.stepper.y, w, w.sample)
+            return k
+        if w.rail.on:
+            plan_rail(w)
+        else:
+            status = plan_step(w)
+            if status != Status.SERVED:
+                step.segment = Segment.NONE
+                progress.status = status
+                observe(step.t0, w.stepper.y, w, w.sample)
+                return k
+    progress.status = Status.SERVED
+    return k
+
+
+@entry_kernel
+def evaluate(systems, y, f):
+    """Evaluate the equations of motion once, for benchmarks and other integrators."""
+    rate_of_change(0.0, y, f, systems[0])

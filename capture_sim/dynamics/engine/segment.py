@@ -1,0 +1,219 @@
+"""A segment of the integrator: planned up to its first event, then closed by applying that."""
+
+from __future__ import annotations
+
+from capture_sim.base.compiled.kernels import kernel
+from capture_sim.dynamics.engine.consequences import apply_event
+from capture_sim.dynamics.engine.events import (
+    event_value,
+    has_distance,
+    hold_limits,
+    ratio_of_limit,
+    release_of,
+    search_again,
+    search_step,
+)
+from capture_sim.dynamics.engine.extremes import watch_extremes, watch_loads
+from capture_sim.dynamics.engine.state import NO_EVENT, SMALLEST_STEP, Segment, Status
+from capture_sim.dynamics.engine.steps import (
+    advance_distances,
+    make_dense,
+    measure_distances,
+    path_to_events,
+    step_length,
+    take_step,
+)
+from capture_sim.dynamics.model.contact import raised_depth
+from capture_sim.dynamics.model.equations import N_TOTAL, rate_of_change
+from capture_sim.dynamics.model.observe import observe
+from capture_sim.dynamics.samples import EventKind
+from capture_sim.dynamics.solver.runge_kutta import dense
+
+#: Share of R_t: in a deeper penetration the tip's centre might pass the wall within a step.
+_MAX_DEPTH_SHARE = 0.75
+#: Longest fixed step in contact, rad of the contact's oscillation, and time constants of its
+#: damping; at 2.78 of the latter the fourth-order method is unstable.
+_FIXED_ANGLE, _FIXED_DECAY = 1.5, 2.5
+#: Largest number of events located within one fixed step, to limit its cost.
+_MAX_SUBSTEPS = 8
+#: Shares of the path to the next event: limit for a step in which the tip accelerates, and target
+#: of the next trial.
+_MAX_OVERSHOOT, _RETRY_SHARE = 1.01, 0.9
+#: A step in contact with an event before fraction _NEAR_END is repeated up to _PAST_EVENT times
+#: that fraction: dense output inside a step is less accurate than its end.
+_NEAR_END, _PAST_EVENT = 0.95, 1.02
+
+
+@kernel
+def begin_equations(w):
+    """Evaluate equations that have changed; return True if an event follows at once.
+
+    The probe may begin to slide, or a vehicle at rest may start to move.
+    """
+    step, event, mode = w.step, w.event, w.system.mode
+    rate_of_change(step.t0, w.stepper.y, w.stepper.K[0], w.system)
+    step.equations_changed = 0
+    if mode.held and not w.progress.released_at_t0:
+        lower, upper = hold_limits(w.stepper.y, w.system)
+        if not lower <= w.system.out.axial_force <= upper:
+            step.h = 0.0
+            step.t1 = step.t0
+            event.kind, event.which = release_of(mode)
+            return True
+    if w.system.par.has_supports:
+        # a change of forces may exceed the limit of the supports at once
+        for which in range(2):
+            resting = mode.rest_S if which == 0 else mode.rest_T
+            hold = w.system.out.hold
+            if resting and ratio_of_limit(w.stepper.y, w.system.par, hold, which) > 1.0:
+                step.h = 0.0
+                step.t1 = step.t0
+                event.kind = EventKind.MOVING
+                event.which = which
+                return True
+    return False
+
+
+@kernel
+def step_within_path(w):
+    """Take a step in which the tip cannot miss an event; return the Status."""
+    step, par = w.step, w.system.par
+    if not step.start_measured:
+        measure_distances(w, w.stepper.y)
+        advance_distances(step)
+    path = path_to_events(w)
+    while True:
+        status = take_step(w, step_length(w))
+        if status != Status.SERVED:
+            return status
+        # an accelerating tip moves farther than its speed at the start suggests
+        moved = 0.5 * (step.start.tip_speed + step.end.tip_speed) * step.h
+        if not moved > _MAX_OVERSHOOT * path:
+            return Status.SERVED
+        if par.fixed_step > 0.0:
+            return Status.STEP_TOO_LONG
+        w.totals.rejected += 1
+        step.h_next = _RETRY_SHARE * step.h * path / moved
+
+
+@kernel
+def is_resolved(w):
+    """Return True if a fixed step resolves the contacts at its end."""
+    par, mode = w.system.par, w.system.mode
+    for i in range(2):
+        depth = -w.step.end.gap[i]
+        if not mode.touch[i].on or depth <= 0.0:
+            continue
+        shape = raised_depth(depth, par.exponent)
+        stiffness = par.exponent * par.K * shape / depth
+        if par.fixed_step**2 * stiffness > _FIXED_ANGLE**2 * par.m_P:
+            return False
+        if par.fixed_step * mode.touch[i].chi * shape > _FIXED_DECAY * par.m_P:
+            return False
+    return True
+
+
+@kernel
+def end_segment(w):
+    """Set the end of the segment: the first event, the end of the run, or that of the step.
+
+    Writes the state there into ``w.y_end``; returns the Status.
+    """
+    step, event, par, stepper = w.step, w.event, w.system.par, w.stepper
+    if event.x <= 1.0:
+        if par.fixed_step > 0.0:
+            step.substeps += 1
+            if step.substeps > _MAX_SUBSTEPS:
+                # applied at the end of the step instead, if the distance is still negative
+                event.x = 1.0
+                if has_distance(event.kind):
+                    value, _ = event_value(stepper.y_new, par, event.kind, event.which)
+                    if value >= 0.0:
+                        event.kind = NO_EVENT
+        step.t1 = step.t0 + event.x * step.h
+    if step.t1 >= w.progress.t_stop:
+        step.t1 = w.progress.t_stop
+        event.kind = EventKind.END
+    step.x_end = 1.0
+    if step.t1 < step.t0 + step.h:
+        step.x_end = (step.t1 - step.t0) / step.h
+        make_dense(w)
+        dense(stepper, step.x_end, w.y_end, N_TOTAL)
+    else:
+        for i in range(N_TOTAL):
+            w.y_end[i] = stepper.y_new[i]
+    if event.kind != NO_EVENT:
+        measure_distances(w, w.y_end)
+    if (
+        par.K > 0.0
+        and not w.system.mode.latched
+        and min(step.end.gap[0], step.end.gap[1]) < -_MAX_DEPTH_SHARE * par.R_t
+    ):
+        return Status.TIP_THROUGH_WALL
+    if w.y_end[4] <= par.R_t:
+        return Status.PROBE_IN_HINGE
+    return Status.SERVED
+
+
+@kernel
+def plan_step(w):
+    """Take one accepted step of the integrator and cut it at the first event in it.
+
+    Returns the Status.
+    """
+    step, stepper, event = w.step, w.stepper, w.event
+    par, mode = w.system.par, w.system.mode
+    step.segment = Segment.STEP
+    if step.equations_changed:
+        if begin_equations(w):
+            return Status.SERVED
+    else:
+        for i in range(N_TOTAL):
+            stepper.K[0, i] = stepper.K[stepper.stages, i]
+    status = step_within_path(w)
+    if status != Status.SERVED:
+        return status
+    if par.fixed_step > 0.0 and not is_resolved(w):
+        return Status.STEP_TOO_LONG
+    search_step(w)
+    in_contact = mode.touch[0].on or mode.touch[1].on or mode.stop or mode.latched
+    if event.x < _NEAR_END and par.fixed_step == 0.0 and in_contact:
+        h = min(_PAST_EVENT * event.x * step.h, step.h)
+        if h > SMALLEST_STEP:
+            h_next, kind, which = step.h_next, event.kind, event.which
+            status = take_step(w, h)
+            if status != Status.SERVED:
+                return status
+            if step.h == h:
+                step.h_next = h_next
+                search_again(w, kind, which, 1.0 / _PAST_EVENT)
+            else:
+                search_step(w)
+    return end_segment(w)
+
+
+@kernel
+def close_step(w, trace):
+    """Move to the end of an integrator's segment and apply its event.
+
+    In contact the sample there goes into ``trace``, unless that is empty.
+    """
+    step, stepper, progress, mode = w.step, w.stepper, w.progress, w.system.mode
+    if step.h > 0.0:
+        if step.t1 > step.t0:
+            watch_extremes(w)
+            watch_loads(w)
+        for i in range(N_TOTAL):
+            stepper.y[i] = w.y_end[i]
+        if step.x_end < 1.0:
+            step.equations_changed = 1
+        advance_distances(step)
+    if step.t1 > step.t0 + SMALLEST_STEP:
+        progress.events_at_t0 = progress.released_at_t0 = 0
+    else:
+        progress.events_at_t0 += 1
+    step.t0 = step.t1
+    if trace.shape[0] > 0 and (mode.touch[0].on or mode.touch[1].on):
+        observe(step.t0, stepper.y, w, trace[progress.n_trace])
+        progress.n_trace += 1
+    apply_event(w)

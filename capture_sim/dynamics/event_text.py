@@ -1,0 +1,41 @@
+"""Events in words."""
+
+from __future__ import annotations
+
+import math
+
+from capture_sim.dynamics.samples import (
+    EventKind,
+)
+
+AT_WALL = (EventKind.TOUCH, EventKind.LIFT_OFF, EventKind.STICK, EventKind.SLIP)
+
+
+def event_text(kind: EventKind, which: int, value: float) -> str:
+    """Return an event in words; ``which`` is its wall, vehicle or stop."""
+    wall = "+y wall" if which > 0 else "-y wall"
+    stop = "compressed" if which < 0 else "extended"
+    if kind is EventKind.LANDED:
+        return f"hanging mass down, chaser at {value:.6g} m/s"
+    if kind is EventKind.RAIL_END:
+        return f"chaser free at {value:.6g} m/s"
+    if kind is EventKind.TOUCH:
+        return f"{wall} at {value:.6g} m/s"
+    if kind is EventKind.LIFT_OFF:
+        return f"{wall} after a peak of {value:.6g} N"
+    if kind in (EventKind.AT_REST, EventKind.MOVING):
+        return "chaser" if which == 1 else "target"
+    if kind in (EventKind.STOP_HIT, EventKind.STOP_LEFT):
+        return f"{stop} at {value:.6g} m/s"
+    if kind is EventKind.SEATED:
+        return f"probe back on its seat at {value:.6g} m/s"
+    if kind is EventKind.UNSEATED:
+        return f"probe leaves its seat at {value:.6g} N"
+    if kind is EventKind.SLIP and math.isinf(value):
+        return f"{wall}, after the impact on the seat"
+    if kind in (EventKind.STICK, EventKind.SLIP):
+        place = wall if which else "probe in its slide"
+        return f"{place}, friction {value:.6g} N to hold"
+    if kind is EventKind.LATCHED:
+        return f"tip caught {value * 1e3:.6g} mm from the centre of BE"
+    return ""

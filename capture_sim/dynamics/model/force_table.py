@@ -1,0 +1,97 @@
+r"""Force of an axial spring that was measured: a monotone cubic through its points.
+
+Between two points the force is the cubic of Fritsch and Carlson (1980) with the slopes of Fritsch
+and Butland (1984), as SciPy's ``PchipInterpolator`` computes them: it rises where the points rise,
+and its slope is continuous.  Beyond the last point it continues along its slope there.  The energy
+is the integral of the cubics, in closed form.
+
+Without a preload the spring also acts outwards, with the mirrored curve F(-s) = -F(s).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from capture_sim.base.compiled.kernels import kernel
+from capture_sim.scene.parts import MAX_TABLE_POINTS
+
+#: Cubics of a table: force above that at rest = force + u (slope + u (bend + u twist)) with the
+#: distance u from a point's stroke.
+FORCE_TABLE = np.dtype(
+    [
+        ("count", "i8"),  # of the points; 0: no table
+        ("stroke", "f8", (MAX_TABLE_POINTS,)),  # m
+        ("force", "f8", (MAX_TABLE_POINTS,)),  # N
+        ("slope", "f8", (MAX_TABLE_POINTS,)),  # N/m
+        ("bend", "f8", (MAX_TABLE_POINTS,)),  # N/m^2; 0 at the last point
+        ("twist", "f8", (MAX_TABLE_POINTS,)),  # N/m^3; 0 at the last point
+        ("energy", "f8", (MAX_TABLE_POINTS,)),  # of the force above that at rest, J
+        ("largest_slope", "f8"),  # N/m
+    ],
+    align=True,
+)
+
+
+@lru_cache(maxsize=8)
+def force_table(points: tuple[tuple[float, float], ...]) -> np.ndarray:
+    """Return the (1,) record of a table of strokes (m, rising from 0) and forces (N)."""
+    # imported here: only scenes with a table need it
+    from scipy.interpolate import PchipInterpolator
+
+    strokes, forces = np.array(points).T
+    above, n = forces - forces[0], len(strokes)
+    first = 0
+    if forces[0] == 0.0:
+        # the slope at rest is that of the mirrored curve
+        strokes = np.concatenate([-strokes[:0:-1], strokes])
+        above = np.concatenate([-above[:0:-1], above])
+        first = n - 1
+    curve = PchipInterpolator(strokes, above)
+    twist, bend, slope, _ = (row[first:] for row in curve.c)
+    strokes, above = strokes[first:], above[first:]
+    width = np.diff(strokes)
+    at_end = slope[-1] + width[-1] * (2.0 * bend[-1] + 3.0 * width[-1] * twist[-1])
+    parts = above[:-1] + width * (slope / 2.0 + width * (bend / 3.0 + width * twist / 4.0))
+    record = np.zeros(1, FORCE_TABLE)
+    record["count"] = n
+    record["stroke"][0, :n], record["force"][0, :n] = strokes, above
+    record["slope"][0, :n] = np.append(slope, at_end)
+    record["bend"][0, : n - 1], record["twist"][0, : n - 1] = bend, twist
+    record["energy"][0, 1:n] = np.cumsum(width * parts)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        top = np.clip(np.nan_to_num(-bend / (3.0 * twist)), 0.0, width)
+    steepest = slope + top * (2.0 * bend + 3.0 * top * twist)
+    record["largest_slope"] = max(np.abs(steepest).max(), np.abs(record["slope"]).max())
+    record.flags.writeable = False
+    return record
+
+
+@kernel
+def tabulated_spring(stroke, table):
+    """Return force (N, above that at rest), stiffness (N/m) and energy (J) of a tabulated spring.
+
+    Outwards, ``stroke`` < 0, the force is that of the mirrored curve.
+    """
+    size = abs(stroke)
+    low, high = 0, table.count
+    while high - low > 1:
+        middle = (low + high) // 2
+        if table.stroke[middle] <= size:
+            low = middle
+        else:
+            high = middle
+    u = size - table.stroke[low]
+    at_point, slope, bend, twist = (
+        table.force[low],
+        table.slope[low],
+        table.bend[low],
+        table.twist[low],
+    )
+    force = at_point + u * (slope + u * (bend + u * twist))
+    stiffness = slope + u * (2.0 * bend + 3.0 * u * twist)
+    energy = table.energy[low] + u * (
+        at_point + u * (slope / 2.0 + u * (bend / 3.0 + u * twist / 4.0))
+    )
+    return (force if stroke > 0.0 else -force), stiffness, energy

@@ -1,0 +1,102 @@
+"""Sine and cosine of one angle together, and the hyperbolic tangent, inlined into the kernels.
+
+For sine and cosine the argument is reduced to a quarter turn by Cody and Waite's method, where
+it is not small enough as it is, and put into the minimax polynomials of fdlibm (Sun
+Microsystems, 1993: k_sin.c, k_cos.c), which are good to less than one unit in the last place;
+calls to the C library would cost more than the rest of a free-flight evaluation.  The
+hyperbolic tangent is a Pade approximant near zero and 1 - 2 / (exp(2x) + 1) beyond, good to
+four units in the last place.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from capture_sim.base.compiled.kernels import inline_kernel
+
+_TWO_OVER_PI = 6.36619772367581382433e-01
+_EIGHTH = 0.785398163397448  # rad
+_HALF_PI_HEAD = 1.57079632673412561417e00  # 33 bits: a small multiple is exact
+_HALF_PI_TAIL = 6.07710050650619224932e-11
+_LARGEST = 1e5  # rad; beyond it the reduction would lose digits
+
+_LOG2_E = 1.44269504088896338700e00
+_LN2_HEAD = 6.93147180369123816490e-01  # 32 bits: a small multiple is exact
+_LN2_TAIL = 1.90821492927058770002e-10
+_POWERS_OF_2 = 2.0 ** np.arange(64)
+
+
+@inline_kernel
+def sine_cosine(angle):
+    """Return (sin, cos) of an angle, rad."""
+    x = angle
+    turns = 0.0
+    if not abs(angle) < _EIGHTH:
+        if not abs(angle) < _LARGEST:
+            return math.sin(angle), math.cos(angle)
+        turns = math.floor(angle * _TWO_OVER_PI + 0.5)
+        x = angle - turns * _HALF_PI_HEAD - turns * _HALF_PI_TAIL
+    # both polynomials in pairs of terms: half as long a chain of dependent operations
+    z = x * x
+    w = z * z
+    s = (-1.66666666666666324348e-01 + z * 8.33333333332248946124e-03) + w * (
+        (-1.98412698298579493134e-04 + z * 2.75573137070700676789e-06)
+        + w * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)
+    )
+    s = x + x * z * s
+    c = (4.16666666666666019037e-02 + z * -1.38888888888741095749e-03) + w * (
+        (2.48015872894767294178e-05 + z * -2.75573143513906633035e-07)
+        + w * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11)
+    )
+    half = 0.5 * z
+    top = 1.0 - half
+    c = top + (((1.0 - top) - half) + w * c)
+    if turns == 0.0:
+        return s, c
+    quarter = int(turns) & 3
+    if quarter & 1:
+        s, c = c, s
+    if quarter & 2:
+        s = -s
+    if (quarter + 1) & 2:
+        c = -c
+    return s, c
+
+
+@inline_kernel
+def wrapped_angle(angle):
+    """Return an angle (rad) between -pi and pi, less whole turns; unchanged if it is."""
+    if not abs(angle) > math.pi:
+        return angle
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+@inline_kernel
+def hyperbolic_tangent(x):
+    """Return tanh(x)."""
+    size = abs(x)
+    if size < 0.45:
+        z = x * x
+        # Pade [7/6]; its error at 0.45 is 5e-17 of the value
+        top = 135135.0 + z * (17325.0 + z * (378.0 + z))
+        bottom = 135135.0 + z * (62370.0 + z * (3150.0 + z * 28.0))
+        return x * top / bottom
+    if size > 20.0:
+        # 1 to the last bit; NaN fails all comparisons and is returned below
+        return math.copysign(1.0, x)
+    y = 2.0 * size
+    if not y < 42.0:
+        return x
+    n = math.floor(y * _LOG2_E + 0.5)
+    r = y - n * _LN2_HEAD - n * _LN2_TAIL
+    # exp(r), |r| < 0.35, by Taylor's series to r^12 / 12!
+    r2 = r * r
+    r4 = r2 * r2
+    low = (1.0 + r) + r2 * (1.0 / 2.0 + r * (1.0 / 6.0))
+    middle = (1.0 / 24.0 + r * (1.0 / 120.0)) + r2 * (1.0 / 720.0 + r * (1.0 / 5040.0))
+    high = (1.0 / 40320.0 + r * (1.0 / 362880.0)) + r2 * (1.0 / 3628800.0 + r * (1.0 / 39916800.0))
+    power = low + r4 * (middle + r4 * (high + r4 * (1.0 / 479001600.0)))
+    value = 1.0 - 2.0 / (power * _POWERS_OF_2[int(n)] + 1.0)
+    return value if x > 0.0 else -value

@@ -1,0 +1,158 @@
+"""One step of an explicit Runge-Kutta pair: stages, error, dense output, step size.
+
+Works on any compiled right-hand side ``rhs(t, y, f, system)`` that writes dy/dt into ``f``;
+``system`` is its record of parameters.  ``y`` has the states first, then integrals that the
+right-hand side does not read; the states and some of the integrals are under error control.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from capture_sim.base.compiled.kernels import inline_kernel, kernel
+from capture_sim.dynamics.solver.pairs import MAX_ROWS, MAX_STAGES, Pair
+from capture_sim.dynamics.solver.rows import add_rows
+
+# step control as in DOPRI5 and DOP853 (Hairer, Norsett and Wanner 1993, II.4)
+SAFETY = 0.9
+MIN_FACTOR = 0.2
+MAX_FACTOR = 6.0
+BETA = 0.04  # share of the previous error: Gustafsson's PI control
+#: Lower limit of the previous error in the step control.
+MIN_PREVIOUS_ERROR = 1e-4
+#: At an error from this on, or NaN, the step shrinks by the smallest factor.
+OVERFLOW = 1e300
+
+
+def stepper_type(total: int, watched: int) -> np.dtype:
+    """Return the dtype of a stepper's memory: a pair's coefficients and the data of a step.
+
+    ``total`` is the length of the state with its integrals, ``watched`` the number of its first
+    entries under error control.
+    """
+    square, room = (MAX_STAGES, MAX_STAGES), (MAX_STAGES,)
+    return np.dtype(
+        [
+            ("A", "f8", square),
+            ("C", "f8", room),
+            ("E5", "f8", room),
+            ("E3", "f8", room),
+            ("G", "f8", (MAX_ROWS, MAX_STAGES)),
+            ("stages", "i8"),
+            ("total_stages", "i8"),  # with those of the dense output
+            ("rows", "i8"),
+            ("order", "i8"),
+            ("y", "f8", (total,)),  # at the start of the step
+            ("y_new", "f8", (total,)),  # at its end
+            ("y_stage", "f8", (total,)),
+            ("K", "f8", (MAX_STAGES, total)),  # dy/dt at the stages
+            ("F", "f8", (MAX_ROWS, total)),  # dense output
+            ("e_5", "f8", (watched,)),
+            ("e_3", "f8", (watched,)),
+            ("weights", "f8", (watched,)),  # 1 / permitted error of a step
+        ],
+        align=True,
+    )
+
+
+def set_pair(memory: Any, pair: Pair) -> None:
+    """Write a pair's coefficients into a stepper's memory."""
+    total, rows, s = len(pair.C), len(pair.G), pair.stages
+    memory["A"][:total, :total] = pair.A
+    memory["C"][:total] = pair.C
+    memory["E5"][: s + 1], memory["E3"][: s + 1] = pair.E5, pair.E3
+    memory["G"][:rows, :total] = pair.G
+    memory["stages"], memory["total_stages"], memory["rows"] = s, total, rows
+    memory["order"] = pair.order
+
+
+@kernel
+def next_factor(error, previous, order):
+    """Return the factor for the next step after an ``error`` (accepted if <= 1)."""
+    if error == 0.0:
+        return MAX_FACTOR
+    if not error < OVERFLOW:
+        return MIN_FACTOR
+    growth = -(1.0 / order - 0.75 * BETA) * math.log(error)
+    if error <= 1.0:
+        growth += BETA * math.log(max(previous, MIN_PREVIOUS_ERROR))
+    factor = SAFETY * math.exp(growth)
+    return min(MAX_FACTOR, max(MIN_FACTOR, factor))
+
+
+@inline_kernel
+def dense(step, x, y_inside, n):
+    """Write the first ``n`` entries of y inside a step, at its fraction ``x`` (0..1)."""
+    y, F, rows = step.y, step.F, step.rows
+    for i in range(n):
+        y_inside[i] = 0.0
+    for k in range(rows):
+        r = rows - 1 - k
+        factor = x if r % 2 == 0 else 1.0 - x
+        for i in range(n):
+            y_inside[i] = (y_inside[i] + F[r, i]) * factor
+    for i in range(n):
+        y_inside[i] += y[i]
+
+
+class Stepper(NamedTuple):
+    """The compiled steps of one right-hand side."""
+
+    try_step: Callable[..., Any]
+    prepare_dense: Callable[..., Any]
+
+
+def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int) -> Stepper:
+    """Compile the steps for a compiled right-hand side ``rhs(t, y, f, system)``.
+
+    ``states``, ``total`` and ``watched`` are the lengths of the states, of ``y`` and of its entries
+    under error control.  They are bound here, not passed at run time: Numba's cache on disk does
+    not accept functions as arguments, and sums of known length stay in registers
+    (:mod:`capture_sim.dynamics.solver.rows`).
+    """
+
+    @kernel
+    def stage(system, step, s, t, h):
+        """Evaluate stage ``s`` from the stages before it into K[s]."""
+        add_rows(step.y_stage, step.y, step.K, step.A[s], s, h, states)
+        rhs(t + step.C[s] * h, step.y_stage, step.K[s], system)
+
+    @kernel
+    def try_step(system, step, t, h):
+        """Take a step of length ``h`` from (t, step.y) with K[0] known.
+
+        Writes the result into ``y_new`` and its derivative into K[stages]; returns the
+        weighted error, 1 being just good enough.
+        """
+        K, stages = step.K, step.stages
+        for s in range(1, stages):
+            stage(system, step, s, t, h)
+        add_rows(step.y_new, step.y, K, step.A[stages], stages, h, total)
+        rhs(t + h, step.y_new, K[stages], system)
+        e_5, e_3, weights = step.e_5, step.e_3, step.weights
+        add_rows(e_5, None, K, step.E5, stages + 1, h, watched)
+        add_rows(e_3, None, K, step.E3, stages + 1, h, watched)
+        sum5 = 0.0
+        sum3 = 0.0
+        for i in range(watched):
+            a = e_5[i] * weights[i]
+            b = e_3[i] * weights[i]
+            sum5 += a * a
+            sum3 += b * b
+        if sum5 == 0.0:
+            return 0.0
+        return sum5 / math.sqrt((sum5 + 0.01 * sum3) * watched)
+
+    @kernel
+    def prepare_dense(system, step, t, h):
+        """Fill ``F`` so that :func:`dense` can be called in this step."""
+        for s in range(step.stages + 1, step.total_stages):
+            stage(system, step, s, t, h)
+        for r in range(step.rows):
+            add_rows(step.F[r], None, step.K, step.G[r], step.total_stages, h, total)
+
+    return Stepper(try_step, prepare_dense)

@@ -1,1 +1,0 @@
-"""How the chaser is launched: the plan, and the watch that releases it."""

@@ -1,0 +1,7 @@
+"""The launch as it goes, compared with its plan: armed, released, landed, delivered or aborted.
+
+Takes: A ``Scene`` and a ``LaunchObservation`` at a time.
+Gives: ``LauncherStatus``.
+Must not know: Where an observation comes from: a simulator, poses of a rig, a replay.
+Begin with: ``state_machine.py``.
+"""

@@ -1,0 +1,215 @@
+"""The launcher's state machine: it compares a launch with its plan.
+
+Offline runs, nodes and real benches evaluate a launch by :meth:`Launcher.observe` alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from capture_sim.dynamics.samples import Named
+from capture_sim.scene.launch_plan import LaunchPlan, plan_launch, rolling_force
+from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import Range, quantity
+
+#: A first touch may always be late by this much, s.
+GRACE = 0.5
+#: A speed is wrong only if it is so by this many of its standard deviations.
+SPEED_GUARD = 5.0
+
+
+def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
+    """Return the chaser's speed (m/s) at a travel (m) from the release, before the first touch.
+
+    By energy, so it needs no clock: ``v^2 = v_L^2 x / H`` while the mass sinks, then
+    ``v_L^2 - 2 a_c (x - H)``.
+    """
+    landing, height = plan.landing_speed, plan.drop_height
+    if travel < height:
+        return landing * math.sqrt(max(travel, 0.0) / height)
+    left = landing**2 - 2.0 * rolling_force(scene) / scene.chaser_total_mass * (travel - height)
+    return math.sqrt(max(left, 0.0))
+
+
+def expected_time(plan: LaunchPlan, travel: float) -> float:
+    """Return when (s after the release) the chaser has this travel (m), if it then coasts freely.
+
+    ``inf`` if it never moves.
+    """
+    landing, height = plan.landing_speed, plan.drop_height
+    if landing == 0.0:
+        return math.inf
+    if travel < height:
+        return plan.landing_time * math.sqrt(max(travel, 0.0) / height)
+    return plan.landing_time + (travel - height) / landing
+
+
+def is_predicted(scene: Scene, plan: LaunchPlan) -> bool:
+    """Return True if the plan predicts the time and speed of the first touch.
+
+    It does for a chaser that moves along its heading to a target at rest.
+    """
+    chaser, target = scene.initial.chaser, scene.initial.target
+    along = chaser.vx * math.cos(chaser.theta) + chaser.vy * math.sin(chaser.theta)
+    across = chaser.vy * math.cos(chaser.theta) - chaser.vx * math.sin(chaser.theta)
+    is_straight = along >= 0.0 and abs(across) <= 1e-12 * max(1.0, along) and chaser.omega == 0.0
+    is_target_at_rest = not (target.vx or target.vy or target.omega)
+    has_impact = math.isfinite(plan.contact_time) and plan.impact_speed > 0.0
+    return is_straight and is_target_at_rest and has_impact
+
+
+class LauncherPhase(Named):
+    """State of the launcher, as in msg/LauncherState.msg."""
+
+    IDLE = 0
+    ARMED = 1
+    RELEASED = 2
+    LANDED = 3
+    DELIVERED = 4
+    ABORTED = 5
+
+
+@dataclass(frozen=True)
+class LauncherStatus:
+    """What the launcher knows; fields as in msg/LauncherState.msg."""
+
+    state: LauncherPhase
+    hanging_mass: float
+    drop_height: float
+    wanted_speed: float
+    landing_speed: float
+    measured_speed: float
+    reason: str = ""
+
+
+class LaunchObservation(NamedTuple):
+    """One measurement of a launch."""
+
+    t: float  # s, since the release; NaN: not known, so that no delay is evaluated
+    speed: float  # m/s, of the chaser along the rail
+    travel: float  # m, since the release; NaN: not known, so that the speed is not evaluated
+    is_slack: bool  # the mass has landed
+    has_touched: bool  # the tip has met the cone
+    speed_deviation: float = 0.0  # m/s, standard deviation of ``speed``
+    unseen: str = ""  # why the speed at the first touch is unknown
+
+
+@dataclass
+class LaunchSettings:
+    """Settings of a launch that can change while the launcher runs; see :class:`Launcher`."""
+
+    tolerance: float = quantity(
+        "1",
+        Range(0.01, 10.0),
+        default=0.2,
+        doc="share of the planned impact speed by which the chaser's speed may deviate",
+    )
+    aborts: bool = quantity(
+        "",
+        default=True,
+        doc="abort a launch that differs from its plan: speed beyond speed_tolerance by 5 "
+        "standard deviations, or contact too late; false only warns",
+    )
+
+
+class Launcher:
+    """Follows one launch from arming to the first contact; without a string it only lets go.
+
+    ``tolerance``: the share of the wanted impact speed by which the speed may differ, and of the
+    time of the first touch (and :data:`GRACE`) by which that may be late; else the launch is
+    aborted, or, without ``aborts``, only described.  ``deviation``: how the launch differed from
+    the plan at the last measurement; empty if it did not, or if the plan does not predict it
+    (:func:`is_predicted`).
+    """
+
+    def __init__(
+        self, scene: Scene, tolerance: float = LaunchSettings.tolerance, *, aborts: bool = True
+    ) -> None:
+        self.plan = plan_launch(scene)
+        self.tolerance, self.aborts, self.deviation = tolerance, aborts, ""
+        self._scene = scene
+        self._is_predicted = is_predicted(scene, self.plan)
+        self._state = LauncherPhase.ARMED
+        self._speed = 0.0
+        self._reason = ""
+
+    @property
+    def status(self) -> LauncherStatus:
+        """The present status."""
+        p = self.plan
+        return LauncherStatus(
+            self._state,
+            p.hanging_mass,
+            p.drop_height,
+            p.impact_speed,
+            p.landing_speed,
+            self._speed,
+            self._reason,
+        )
+
+    @property
+    def is_under_way(self) -> bool:
+        """True from the release to the first contact."""
+        return self._state in (LauncherPhase.RELEASED, LauncherPhase.LANDED)
+
+    @property
+    def latest_contact(self) -> float:
+        """Latest time of the first touch that is no deviation, s since the release."""
+        return (1.0 + self.tolerance) * self.plan.contact_time + GRACE
+
+    def release(self) -> LauncherStatus:
+        """Note that the release has been sent."""
+        if self._state is LauncherPhase.ARMED:
+            self._state = LauncherPhase.RELEASED
+        return self.status
+
+    def abort(self, reason: str) -> LauncherStatus:
+        """Give the launch up, for ``reason``; one that is over stays as it is."""
+        if self._state not in (LauncherPhase.DELIVERED, LauncherPhase.ABORTED):
+            self._state, self._reason = LauncherPhase.ABORTED, reason
+        return self.status
+
+    def travelled(self, x: float, y: float) -> float:
+        """Return the travel of the chaser at (x, y), m, along its launch direction, m."""
+        start = self._scene.initial.chaser
+        return (x - start.x) * math.cos(start.theta) + (y - start.y) * math.sin(start.theta)
+
+    def observe(self, observed: LaunchObservation) -> LauncherStatus:
+        """Add a measurement; abort if the launch does not go as planned."""
+        if not self.is_under_way:
+            return self.status
+        if observed.has_touched:
+            # the last speed before the touch is the impact speed
+            self._state, self.deviation = LauncherPhase.DELIVERED, ""
+            if observed.unseen:
+                self._speed, self._reason = math.nan, observed.unseen
+            return self.status
+        self._speed = observed.speed
+        if observed.is_slack:
+            self._state = LauncherPhase.LANDED
+        self.deviation = self._deviation(observed) if self._is_predicted else ""
+        if self.deviation and self.aborts:
+            self.abort(self.deviation)
+        return self.status
+
+    def _deviation(self, observed: LaunchObservation) -> str:
+        """Return how the launch differs from the plan; empty if it does not."""
+        plan, latest = self.plan, self.latest_contact
+        if observed.t > latest:
+            return (
+                f"no contact after {observed.t:.4g} s: expected after {plan.contact_time:.4g}, "
+                f"must be at most {latest:.4g}"
+            )
+        if math.isnan(observed.travel):
+            return ""
+        wanted = expected_speed(self._scene, plan, observed.travel)
+        slack, deviation = self.tolerance * plan.impact_speed, observed.speed_deviation
+        if abs(observed.speed - wanted) <= slack + SPEED_GUARD * deviation:
+            return ""
+        known = f" +- {deviation:.2g}" if deviation > 0.0 else ""
+        return (
+            f"speed {observed.speed:.4g}{known} m/s after {observed.travel:.4g} m: "
+            f"must be {max(wanted - slack, 0.0):.4g} to {wanted + slack:.4g}"
+        )

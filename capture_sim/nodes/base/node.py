@@ -1,0 +1,246 @@
+"""The base of all nodes: one thread, callbacks only inside :meth:`BenchNode.wait`."""
+
+from __future__ import annotations
+
+import gc
+import math
+import struct
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Any
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from capture_sim.base.exit_status import OK
+from capture_sim.base.interrupts import STOP
+from capture_sim.errors import CaptureSimError, MessageError, one_line
+from capture_sim.messages.convert import Messages
+from capture_sim.messages.telemetry import Sent
+from capture_sim.messages.topics import Rate, Topic
+from capture_sim.nodes.base.endpoints import from_bytes, full_name, is_own, message_class, qos_of
+from capture_sim.nodes.base.parameters import ParameterNode
+from capture_sim.nodes.base.publishers import Outbox
+
+try:
+    # a fortieth of the plain executor's cost per message; not in every rclpy
+    from rclpy.experimental import EventsExecutor
+except ImportError:
+    EventsExecutor = SingleThreadedExecutor
+
+#: A subscriber of a transient-local topic keeps this many messages until its callback has run.
+MIN_DEPTH = 100
+#: A wait looks at its condition, and at Ctrl-C, at least this often, s (wall).
+POLL = 0.1
+#: The publishers and readers of a rig's topics are looked up this often, s (wall).
+LOOK_UP_PERIOD = 0.5
+#: What unexpected numbers, lists and bytes raise in a callback.
+_ODD_CONTENTS = (ValueError, TypeError, LookupError, ArithmeticError, AssertionError, struct.error)
+
+
+class BenchNode(ParameterNode):
+    """A node with one thread: its callbacks run inside :meth:`wait` and nowhere else.
+
+    ``options`` are those of :class:`rclpy.node.Node`.  ``end_request``: an event that ends the
+    node, by default the process's Ctrl-C; ``exit_status``: what the process returns when it is
+    ended; ``failure``: an error in a callback, which the next wait raises.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.created = time.monotonic()  # other nodes are discovered from here on
+        self.messages = Messages()
+        self.end_request: threading.Event = STOP
+        self.exit_status = OK
+        self.failure: Exception | None = None
+        self.in_callback = False
+        self.outbox = Outbox(self)
+        self.callback_executor: Executor | None = None
+        self._interrupted = False
+        self._rejections: Counter[Topic] = Counter()
+        self._best_effort: list[Callable[[], None]] = []  # subscriptions to be made again
+
+    def work(self) -> int:
+        """Do the node's work; return the exit status."""
+        raise NotImplementedError
+
+    # waiting, the only place where callbacks run
+
+    def wait(self, until: Callable[[], bool] | None = None, limit: float = math.inf) -> bool:
+        """Run callbacks until ``until()`` is true or ``limit`` s (wall) have passed.
+
+        Return whether it is true.  KeyboardInterrupt, once, after the request to end; later waits
+        are those of the shutdown.  An error in a callback is raised here.
+        """
+        deadline = time.monotonic() + limit
+        has_served = False  # a wait without time serves once
+        while True:
+            if self.failure is not None:
+                raise self.failure
+            if self.end_request.is_set() and not self._interrupted:
+                self._interrupted = True
+                raise KeyboardInterrupt
+            if until is not None and until():
+                return True
+            left = deadline - time.monotonic()
+            if left <= 0.0 and has_served:
+                return False
+            self.serve(min(max(left, 0.0), POLL))
+            has_served = True
+
+    def serve(self, limit: float = 0.0) -> None:
+        """Run the callbacks of the first event within ``limit`` s (wall), if any."""
+        if self.callback_executor is None:
+            self.callback_executor = EventsExecutor(context=self.context)
+            self.callback_executor.add_node(self)
+        self.callback_executor.spin_once(limit)
+        while self._best_effort:
+            self._best_effort.pop()()
+
+    def wake(self) -> None:
+        """End a wait's present pause, so that it looks at its condition; from any thread."""
+        executor = self.callback_executor
+        if executor is not None:
+            executor.create_task(lambda: None)
+
+    def freeze_objects(self) -> None:
+        """Leave the objects that exist now out of later collections: one takes longer than a tick.
+
+        For the begin of a node's work.
+        """
+        gc.collect()
+        gc.freeze()
+
+    def close(self) -> None:
+        """Leave the network; the executor must let the node go first."""
+        if self.callback_executor is not None:
+            self.callback_executor.remove_node(self)
+            self.callback_executor.shutdown()
+            self.callback_executor = None
+        self.destroy_node()
+
+    def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a callback whose errors end the node by its next :meth:`wait`."""
+
+        @wraps(callback)
+        def call(*arguments: Any) -> Any:
+            self.in_callback = True
+            try:
+                return callback(*arguments)
+            except Exception as error:
+                self.failure = self.failure or error
+                return arguments[-1] if arguments else None  # of a service: its response
+            finally:
+                self.in_callback = False
+
+        return call
+
+    # what callbacks are called for
+
+    def listen(
+        self,
+        topic: Topic,
+        callback: Callable[[Any], None],
+        *,
+        transient_local: bool | None = None,
+        raw: bool = False,
+        **options: Any,
+    ) -> None:
+        """Subscribe to a topic; ``raw``: the callback takes a message's bytes.
+
+        A message that cannot be used is rejected in one line, and the node goes on; an error that
+        is no message's fault ends it.  A topic of a rig is read best effort once a publisher offers
+        no more.
+        """
+
+        def take(data: bytes) -> None:
+            try:
+                callback(data if raw else from_bytes(topic, data))
+            except (MessageError, *_ODD_CONTENTS) as error:
+                self.reject(topic, error)
+
+        qos = qos_of(topic, transient_local=transient_local)
+        if topic.rate is not Rate.CONTROL:  # a queue would only delay the newest message
+            qos.depth = max(qos.depth, MIN_DEPTH)
+        self._subscribe(topic, self.guarded(take), qos, **options)
+
+    def _subscribe(self, topic: Topic, take: Any, qos: QoSProfile, **options: Any) -> None:
+        if not is_own(topic) and qos.reliability is ReliabilityPolicy.RELIABLE:
+
+            def adapt(_: Any) -> None:
+                if remake not in self._best_effort and qos.reliability.name == "RELIABLE":
+                    self._best_effort.append(remake)
+
+            def remake() -> None:
+                self.destroy_subscription(subscription)
+                qos.reliability = ReliabilityPolicy.BEST_EFFORT
+                self.get_logger().warning(
+                    f"{self.resolve_topic_name(topic.name)}: read best effort, as it is published: "
+                    "messages can be lost"
+                )
+                self._subscribe(topic, take, qos)
+
+            watch = SubscriptionEventCallbacks(incompatible_qos=self.guarded(adapt))
+            options.setdefault("event_callbacks", watch)
+        subscription = self.create_subscription(
+            message_class(topic.type_name),
+            topic.name,
+            take,
+            qos,
+            raw=True,  # rmw_fastrtps prints ten lines about bytes that are no message
+            **options,
+        )
+
+    def every(self, period: float, callback: Callable[[], None]) -> None:
+        """Call a function every so many s (wall) while the node waits."""
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(period, self.guarded(callback), clock=steady)
+
+    def reject(self, topic: Topic, error: Exception) -> None:
+        """Log that a message is rejected, the first one of a topic; the others are counted."""
+        self._rejections[topic] += 1
+        if self._rejections[topic] == 1:
+            kind = "" if isinstance(error, MessageError) else f"{type(error).__name__}: "
+            text = f"{topic.name}: rejected: {kind}{error}; further ones are counted"
+            self.get_logger().error(one_line(text))
+
+    def report_rejections(self) -> None:
+        """Log how many messages of each topic were rejected, if more than one."""
+        for topic, count in self._rejections.items():
+            if count > 1:
+                self.get_logger().warning(f"{topic.name}: {count} messages rejected")
+        self._rejections.clear()
+
+    # sending
+
+    def open(self, topics: Sequence[Topic]) -> None:
+        """Make the publishers of these topics."""
+        self.outbox.open(topics)
+
+    def send(self, topic: Topic, data: Any) -> bool:
+        """Publish a message; see :meth:`Outbox.send`."""
+        return self.outbox.send(topic, data)
+
+    def publish(self, *messages: Sent) -> None:
+        """Publish messages of a telemetry."""
+        for message in messages:
+            self.outbox.send(message.topic, message.data)
+
+    # the graph
+
+    def nodes_that_publish(self, topic: Topic) -> list[str]:
+        """Return the full names of the nodes that publish a topic, for each publisher."""
+        ends = self.get_publishers_info_by_topic(self.resolve_topic_name(topic.name))
+        return [full_name(end) for end in ends]
+
+
+def named_end_error(error: Exception) -> str:
+    """Return the line by which a node ends because of an error."""
+    kind = "" if isinstance(error, CaptureSimError) else f"stopped by {type(error).__name__}: "
+    return one_line(f"{kind}{error}")

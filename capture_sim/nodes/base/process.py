@@ -1,0 +1,155 @@
+"""A node as a process: Ctrl-C, shutdown in order, an exit status.
+
+SIGINT and SIGTERM set :data:`capture_sim.base.interrupts.STOP`; the node's next wait raises
+KeyboardInterrupt.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import rclpy
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.signals import SignalHandlerOptions
+
+from capture_sim.base.exit_status import BAD_INPUT, FAILED, OK, REFUSAL
+from capture_sim.base.interrupts import STOP, end_within, leave_if_busy, watch_signals
+from capture_sim.base.resources import config_dir
+from capture_sim.errors import CaptureSimError, one_line
+from capture_sim.nodes.base import dds
+from capture_sim.nodes.base.endpoints import TRANSIT_TIME
+from capture_sim.nodes.base.node import BenchNode, named_end_error
+
+#: DDS gets this long to shut down, s (wall).
+DDS_SHUTDOWN_TIMEOUT = 5
+#: A process that was asked to end is ended after this long, s (wall): a disk may be stalled.
+SHUTDOWN_TIMEOUT = 10.0
+
+
+def run(
+    make: Callable[[], BenchNode],
+    args: Sequence[str] | None = None,
+) -> int:
+    """Make a node, do its work, end in order; return the process's exit status.
+
+    0: done, or ended by Ctrl-C, which is a node's ordinary end; 1: the node or one of its runs has
+    failed; 2: a parameter or the scene is wrong.  ``args``: the command line; None for that of the
+    process, which is then to end: where DDS does not, it is ended after
+    :data:`DDS_SHUTDOWN_TIMEOUT`.
+    """
+    if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
+        try:
+            print(_usage(make), flush=True)
+        except BrokenPipeError:  # e.g. head has read what it wanted
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OK
+    watch_signals(STOP)
+    threading.Thread(target=_limit_shutdown, name="shutdown", daemon=True).start()
+    try:
+        hidden = dds.configure(os.environ)
+        # rclpy's own handlers shut DDS down at once; ours leave time for the last messages
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            status = _live(make, hidden)
+        finally:
+            rclpy.try_shutdown()
+        leave_if_busy(status)  # compiling goes on after Ctrl-C
+        return status
+    except CaptureSimError as error:
+        return _refuse(str(error))
+    # arguments that rclpy cannot parse (RCLError), parameters of every node, names
+    except (RuntimeError, ParameterException, NameValidationException) as error:
+        return _refuse(str(error).splitlines()[0])
+    except KeyboardInterrupt:  # while the node was made
+        leave_if_busy(OK)
+        end_within(DDS_SHUTDOWN_TIMEOUT, OK)
+        return OK
+    finally:
+        # Python's own end would give them back their default, and a further signal would then
+        # kill the process
+        for signum in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(signum, signal.SIG_IGN)
+
+
+def _wake_at_end(node: BenchNode) -> None:
+    """Let a node notice at once that its process is asked to end."""
+    node.end_request.wait()
+    node.wake()
+
+
+def _limit_shutdown() -> None:
+    """End the process if it has not ended :data:`SHUTDOWN_TIMEOUT` after it was asked to."""
+    STOP.wait()
+    time.sleep(SHUTDOWN_TIMEOUT)
+    text = f"no shutdown within {SHUTDOWN_TIMEOUT:g} s, e.g. of a stalled disk: process ended"
+    print(f"{REFUSAL}{text}", file=sys.stderr, flush=True)
+    os._exit(FAILED)
+
+
+def _refuse(reason: str) -> int:
+    print(REFUSAL + one_line(reason), file=sys.stderr, flush=True)
+    end_within(DDS_SHUTDOWN_TIMEOUT, BAD_INPUT)
+    return BAD_INPUT
+
+
+def live(node: BenchNode) -> int:
+    """Let a node work to its end in the calling thread, then close it; return the exit status."""
+    log = node.get_logger()
+    try:
+        node.warn_of_unknown_parameters()
+        status = node.work()
+    except KeyboardInterrupt:
+        status = node.exit_status
+    except CaptureSimError as error:
+        log.error(str(error))
+        status = FAILED
+    except Exception as error:
+        log.error(named_end_error(error))
+        log.debug("".join(traceback.format_exception(error)))
+        status = FAILED
+    node.report_rejections()
+    node.outbox.drain(TRANSIT_TIME)
+    return status
+
+
+def _live(make: Callable[[], BenchNode], hidden: bool) -> int:
+    node = make()
+    if hidden:
+        node.get_logger().info(
+            f"discoverable on this machine only; {dds.RANGE}=SUBNET lets other machines take part"
+        )
+    threading.Thread(target=_wake_at_end, args=[node], name="end", daemon=True).start()
+    status = FAILED
+    try:
+        status = live(node)
+    finally:
+        end_within(DDS_SHUTDOWN_TIMEOUT, status)
+        node.close()
+    return status
+
+
+def _usage(make: Callable[..., object]) -> str:
+    """Return the help of this process's node: usage, purpose and parameters."""
+    program = Path(sys.argv[0]).name
+    name = Path(program).stem.removeprefix("capture-sim-").replace("-", "_")
+    file = config_dir() / "nodes.yaml"
+    sections = file.read_text(encoding="utf-8").split("\n/**/")
+    lines = [
+        f"usage: {program} [--ros-args -p NAME:=VALUE ... --params-file FILE -r NAME:=NAME ...]",
+        "",
+        (inspect.getdoc(make) or "").replace("``", "`"),
+        "",
+    ]
+    for section in sections:
+        if section.startswith(f"{name}:"):
+            lines += [f"Parameters and their defaults ({file}):", "", section.rstrip(), ""]
+    lines.append(f"`ros2 param describe /{name} PARAMETER` prints the range while the node runs.")
+    return "\n".join(lines)

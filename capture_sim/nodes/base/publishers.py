@@ -1,0 +1,179 @@
+"""The publishers of a node: nothing is lost while its readers read."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from rcl_interfaces.srv import ListParameters
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
+
+from capture_sim.errors import CaptureSimError
+from capture_sim.messages.topics import Topic
+from capture_sim.nodes.base.endpoints import (
+    DISCOVERY_TIME,
+    TRANSIT_TIME,
+    full_name,
+    message_class,
+    qos_of,
+    why_incompatible,
+)
+
+#: How a reader's full queue shows in rclpy's error; every other one is an error.
+FULL_QUEUE = "cannot publish data"
+#: Messages that DDS keeps for a reader that has been dropped.
+DROPPED_DEPTH = 1000
+#: Once a reader is dropped, a topic is sent at this rate at most, Hz: the others then lose nothing.
+DROPPED_RATE = 4000.0
+#: A new publisher waits this long for the readers of the one it replaces, s (wall).
+MATCHING_TIMEOUT = 1.0
+#: Nodes are asked for a sign of life so often: a response to a client just met may be lost.
+ASKED = 4
+#: Queues and acknowledgements are looked at this often, s (wall).
+_POLL = 0.001
+
+
+class Outbox:
+    """The publishers of a node, by topic.
+
+    ``reader_timeout``: s (wall), after which a reader that reads nothing is dropped, see
+    :meth:`send`; ``dropped``: full names of the nodes whose readers have been dropped.
+    """
+
+    def __init__(self, node: Any) -> None:
+        self.reader_timeout = 15.0
+        self.dropped: list[str] = []
+        self._node = node
+        self._senders: dict[Topic, Any] = {}
+        self._next_due: dict[Topic, float] = {}  # s (wall), of the topics that are slowed down
+
+    @property
+    def topics(self) -> list[Topic]:
+        """The topics that are open."""
+        return list(self._senders)
+
+    def open(self, topics: Sequence[Topic]) -> None:
+        """Make the publishers of these topics."""
+        for topic in topics:
+            self._senders[topic] = self._node.create_publisher(
+                message_class(topic.type_name), topic.name, qos_of(topic)
+            )
+
+    def send(self, topic: Topic, message: Any) -> bool:
+        """Publish a message on one of the open topics; wait while a reader's queue is full.
+
+        A reader that has read nothing for ``reader_timeout`` is dropped: DDS then keeps the last
+        :data:`DROPPED_DEPTH` messages for it.  Return False if the node was asked to end meanwhile;
+        the message is not sent then.  CaptureSimError if the message cannot be published.
+        """
+        if topic in self._next_due:
+            now = time.monotonic()
+            time.sleep(max(0.0, self._next_due[topic] - now))
+            self._next_due[topic] = max(self._next_due[topic], now) + 1.0 / DROPPED_RATE
+        if self._try(topic, message):
+            return True
+        deadline = time.monotonic() + self.reader_timeout
+        while not self._node.end_request.is_set():
+            self._pause(_POLL)
+            if self._try(topic, message):
+                return True
+            if time.monotonic() > deadline:
+                self._drop_stalled(topic)
+                deadline = math.inf
+        return False
+
+    def matched(self, topic: Topic) -> int:
+        """Return how many subscriptions an open topic has found."""
+        return int(self._senders[topic].get_subscription_count())
+
+    def readers(self, topic: Topic) -> list[str]:
+        """Return the full names of the nodes that an open topic serves, for each subscription."""
+        offered = self._senders[topic].qos_profile
+        name = self._node.resolve_topic_name(topic.name)
+        return [
+            full_name(reader)
+            for reader in self._node.get_subscriptions_info_by_topic(name)
+            if not why_incompatible(offered, reader.qos_profile)
+        ]
+
+    def drain(self, limit: float) -> list[Topic]:
+        """Wait until all that was sent has arrived, ``limit`` s (wall) at most.
+
+        Return the topics of which something has not; after the request to end the wait is at most
+        :data:`TRANSIT_TIME`.
+        """
+        deadline = time.monotonic() + limit
+        left = dict(self._senders)
+        while True:
+            # in slices: rclpy holds Python's lock while it waits
+            slice_ = Duration(nanoseconds=200_000)
+            left = {topic: s for topic, s in left.items() if not s.wait_for_all_acked(slice_)}
+            now = time.monotonic()
+            if self._node.end_request.is_set():
+                deadline = min(deadline, now + TRANSIT_TIME)
+            if not left or now > deadline:
+                return list(left)
+            time.sleep(_POLL)
+
+    def report_stalled(self, topic: Topic) -> None:
+        """Name the nodes that have not read a topic for too long."""
+        own = self._node.get_fully_qualified_name()
+        names = sorted({*self.readers(topic)} - {own})
+        if not self._node.in_callback:
+            names = self._unresponsive(names) or names
+        self.dropped += names
+        self._node.get_logger().error(
+            f"{', '.join(names)}: no message read from {topic.name} for {self.reader_timeout:g} s "
+            "(reader_timeout); continuing without it"
+        )
+
+    def _try(self, topic: Topic, message: Any) -> bool:
+        try:
+            self._senders[topic].publish(message)
+        except RuntimeError as error:  # rclpy's RCLError
+            if FULL_QUEUE in str(error):
+                return False
+            raise CaptureSimError(f"{topic.name}: cannot be published: {error}") from None
+        return True
+
+    def _pause(self, seconds: float) -> None:
+        """Wait; callbacks run meanwhile unless this is one."""
+        if self._node.in_callback:
+            time.sleep(seconds)
+        else:
+            self._node.wait(limit=seconds)
+
+    def _unresponsive(self, names: Sequence[str]) -> list[str]:
+        """Return the nodes that do not answer; a listener of `ros2 topic` cannot be asked."""
+        kind = ListParameters
+        clients = {n: self._node.create_client(kind, f"{n}/list_parameters") for n in names}
+        answers: dict[str, list[Any]] = {name: [] for name in names}
+        for _ in range(ASKED):
+            self._node.wait(limit=DISCOVERY_TIME)
+            for name, client in clients.items():
+                if client.service_is_ready():
+                    answers[name].append(client.call_async(kind.Request()))
+        self._node.wait(limit=DISCOVERY_TIME)
+        for client in clients.values():
+            self._node.destroy_client(client)
+        return [n for n, sent in answers.items() if sent and not any(a.done() for a in sent)]
+
+    def _drop_stalled(self, topic: Topic) -> None:
+        """Replace the publishers by ones that do not wait for a reader.
+
+        The former ones stay: other readers may still be sent what they keep.
+        """
+        self.report_stalled(topic)
+        for stream, sender in list(self._senders.items()):
+            if not stream.transient_local:
+                fresh = self._node.create_publisher(
+                    message_class(stream.type_name), stream.name, QoSProfile(depth=DROPPED_DEPTH)
+                )
+                self._senders[stream], self._next_due[stream] = fresh, 0.0
+                deadline = time.monotonic() + MATCHING_TIMEOUT
+                readers = sender.get_subscription_count()
+                while fresh.get_subscription_count() < readers and time.monotonic() < deadline:
+                    time.sleep(_POLL)

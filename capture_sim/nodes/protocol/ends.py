@@ -1,0 +1,48 @@
+"""How a run ends: for the node that announces it, and for each participant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from capture_sim.nodes.protocol.roll import RunReport
+
+#: Why a run ends that Ctrl-C ended.
+INTERRUPTED = "interrupted"
+
+
+class CutKind(Enum):
+    """Why a run ends before its time."""
+
+    RESET = "reset"  # the same run begins again
+    STOPPED = "stopped"
+    QUITTING = "quitting"
+    ABORTED = "aborted"  # something has gone wrong
+
+    @property
+    def is_requested(self) -> bool:
+        """Whether a user has asked for it."""
+        return self is not CutKind.ABORTED
+
+
+class EndKind(Enum):
+    """How a run has ended for a participant."""
+
+    COMPLETE = "complete"
+    REQUESTED = "requested"  # reset, stopped, quitting, Ctrl-C
+    CUT = "cut"  # the announcer has failed
+    MISSING = "missing"  # messages that were sent have not come
+    ABANDONED = "abandoned"  # the announcer has not ended it
+
+
+@dataclass(frozen=True)
+class RunEnd:
+    """The end of a run, as a participant sees it; ``reason`` is empty if it is complete."""
+
+    kind: EndKind
+    reason: str = ""
+
+    @property
+    def report(self) -> RunReport:
+        """What a node reports that lacks no more than the end says."""
+        return RunReport((self.reason,) if self.reason else ())

@@ -1,0 +1,363 @@
+"""How a node takes part in runs, one after another: announced, ready, on, ended, done.
+
+A run begins with a RunInfo and ends with its announcer's StreamCounts, a trial of a bench with a
+RunInfo without run.  What a node does with a run is in its :class:`RunPart`.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, Protocol
+
+from capture_sim.base.exit_status import FAILED
+from capture_sim.errors import CaptureSimError, MessageError, one_line
+from capture_sim.messages.convert import LONGEST_NAME, RunDescription
+from capture_sim.messages.topics import (
+    RUN_INFO,
+    SIMULATOR,
+    STREAM_COUNTS,
+    RunSource,
+    Topic,
+)
+from capture_sim.nodes.base.endpoints import TRANSIT_TIME
+from capture_sim.nodes.base.node import POLL, BenchNode
+from capture_sim.nodes.protocol.ends import INTERRUPTED, CutKind, EndKind, RunEnd
+from capture_sim.nodes.protocol.roll import DONE, READY, Roll, RunReport, has_streams, run_key
+from capture_sim.recording.completeness import Completeness, counts_of
+from capture_sim.scene.loading import load_scene_text
+from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import shown
+
+#: Participants of a run get this long to join it, s (wall).
+JOIN_TIMEOUT = 15.0
+#: s (wall) without a message, after which an ended run is closed as incomplete.
+DRAIN_TIMEOUT = 5.0
+#: Ctrl-C mostly ends all nodes at once: the end of the run is waited for this long, and of a trial
+#: its recording and the client that asks for its result, s (wall).
+RUN_END_TIMEOUT = 3.0
+
+
+@dataclass(frozen=True)
+class AnnouncedRun:
+    """A run that is announced: its RunInfo and scene."""
+
+    info: Any
+    scene: Scene
+
+    @property
+    def id(self) -> str:
+        """The run's id."""
+        return str(self.info.run_id)
+
+    @property
+    def name(self) -> str:
+        """The run's name."""
+        return str(self.info.name)
+
+    @cached_property
+    def simulated(self) -> bool:
+        """Whether its times are a simulator's, live or played: the release is t = 0."""
+        return SIMULATOR in self.info.publishers
+
+
+class RunPart(Protocol):
+    """What a node does with a run."""
+
+    def prepare(self, run: AnnouncedRun) -> None:
+        """Get ready: messages may come from now on.  CaptureSimError if that is not possible."""
+
+    def begin(self, run: AnnouncedRun) -> None:
+        """Begin to publish: all participants are ready."""
+
+    def is_complete(self) -> bool:
+        """Return True if, after the followed streams, nothing else is waited for."""
+        return True
+
+    def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
+        """End the run: publish the rest, close files, report missing messages."""
+
+
+class _Participation:
+    """A run that this node takes part in, and how far it is."""
+
+    def __init__(self, run: AnnouncedRun, followed: Sequence[Topic]) -> None:
+        self.run = run
+        self.streams = Completeness([SIMULATOR] if run.simulated else [], followed)
+        self.counts: Any = None  # StreamCounts by which the simulator has ended it
+        self.has_begun = self.has_ended = False
+        self.is_closed = False  # the announcer has announced that no run is on
+        self.last_sign = -math.inf  # s (wall), of a message or of the announcer
+        self.logged: set[str] = set()  # problems
+
+    def note_sign(self) -> None:
+        """Note that something of the run has come, or that its announcer is there."""
+        self.last_sign = time.monotonic()
+
+
+class Follower:
+    """Takes part in runs for a node.
+
+    Call :meth:`follow` for each stream, then :meth:`join`, in the node's constructor, and
+    :meth:`work` as its work.  ``sources``: of the runs that the node takes part in.  A replay also
+    has to name the node if it has streams of its own, as the recorded ones may be played.  No run
+    waits for a node that is not ``on_roll``.
+    """
+
+    def __init__(
+        self,
+        node: BenchNode,
+        role: str,
+        part: RunPart,
+        sources: Sequence[RunSource],
+        *,
+        on_roll: bool = True,
+    ) -> None:
+        self.roll: Roll
+        self._node = node
+        self._role = role
+        self._part = part
+        self._sources = sources
+        self._on_roll = on_roll
+        self._followed: list[Topic] = []
+        self._present: _Participation | None = None  # in the run that is announced or on
+        self._next: AnnouncedRun | None = None
+        self._last_key = ""  # of the last run that was announced
+
+    # set-up, in this order
+
+    def follow(
+        self,
+        topic: Topic,
+        callback: Callable[[Any], None],
+        *,
+        raw: bool = False,
+        watch: Callable[[Any], None] | None = None,
+    ) -> None:
+        """Subscribe to a stream; its messages are counted until the run's end.
+
+        ``raw``: the callback takes the message's bytes.  ``watch`` is called with the messages of a
+        bench, also those that no run is on for.
+        """
+
+        def take(message: Any) -> None:
+            present = self._present
+            if watch is not None and (present is None or not present.run.simulated):
+                watch(message)
+            if present is not None:
+                if not present.has_begun:
+                    self._begin(present)
+                present.streams.add(topic, None)
+                present.note_sign()
+                callback(message)
+
+        self._followed.append(topic)
+        self._node.listen(topic, take, raw=raw)
+
+    def join(self) -> None:
+        """Subscribe to announcements and join the roll, after all else; see :class:`Roll`."""
+        self._node.listen(STREAM_COUNTS, self._hear_counts)
+        self._node.listen(RUN_INFO, self._hear_announcement)
+        self.roll = Roll(self._node, self._role, self._sources, is_listed=self._on_roll)
+
+    # a run
+
+    @property
+    def run(self) -> AnnouncedRun | None:
+        """The run that is announced or on, None without one."""
+        return None if self._present is None else self._present.run
+
+    @property
+    def is_on(self) -> bool:
+        """Whether a run has begun here."""
+        return self._present is not None and self._present.has_begun
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the announcer has ended the run; messages may be on their way."""
+        return self._present is not None and self._present.has_ended
+
+    @property
+    def was_cut(self) -> bool:
+        """Whether the simulator has not reported the run as complete."""
+        present = self._present
+        if present is None or not present.run.simulated:
+            return False
+        return present.counts is None or not present.counts.complete
+
+    def note_message(self) -> None:
+        """Note a message of the run besides those that are followed."""
+        if self._present is not None:
+            self._present.note_sign()
+
+    def fail(self, problem: str) -> None:
+        """Log a problem of the run that is on, once; the node will end with status 1."""
+        self._node.exit_status = FAILED
+        present = self._present
+        if present is not None and problem not in present.logged:
+            present.logged.add(problem)
+            self._node.get_logger().error(one_line(f"{present.run.name}: {problem}"))
+
+    def work(self) -> int:
+        """Take part in runs until the node is asked to end; return the exit status."""
+        self._node.freeze_objects()
+        self._node.get_logger().info("ready, waiting for a run")
+        while True:
+            self._node.wait(lambda: self._next is not None)
+            assert self._next is not None
+            self._present, self._next = _Participation(self._next, self._followed), None
+            try:
+                self._take_part(self._present)
+            finally:
+                self._present = None
+            gc.collect()
+
+    def _take_part(self, present: _Participation) -> None:
+        """Join a run, follow it to its end and leave it."""
+        run, interrupted = present.run, False
+        try:
+            self._part.prepare(run)
+            self._await_participants(present)
+            end = self._await_end(present)
+        except CaptureSimError as error:
+            if error is self._node.failure:
+                raise
+            end = RunEnd(EndKind.CUT, str(error))
+            present.has_begun = False
+        except KeyboardInterrupt:
+            interrupted = True
+            is_own = run.info.announcer == self.roll.id  # no other node ends it
+            end = self._await_end(present, 0.0 if is_own else RUN_END_TIMEOUT)
+            if end.kind is EndKind.ABANDONED:
+                end = RunEnd(EndKind.REQUESTED, INTERRUPTED)
+        report = self._part.end(run, end) if present.has_begun else RunReport((end.reason,))
+        if end.kind is EndKind.REQUESTED:
+            self._node.get_logger().info(f"{run.name}: ended early: {end.reason}")
+        else:
+            for problem in report.problems:
+                self.fail(problem)
+        self.roll.report(DONE, run.info, report)
+        if interrupted:
+            raise KeyboardInterrupt
+
+    def _await_participants(self, present: _Participation) -> None:
+        """Report that this node is ready, and wait until all others are; then begin."""
+        run, key = present.run, run_key(present.run.info)
+        pending = partial(self.roll.pending, list(run.info.participants))
+
+        def is_late() -> bool:
+            return present.has_begun or present.has_ended
+
+        def not_ready() -> list[str]:
+            return pending(lambda part: part.is_ready(key))
+
+        self._node.wait(lambda: is_late() or not pending(), JOIN_TIMEOUT)
+        self.roll.report(READY, run.info)
+        if not self._node.wait(lambda: is_late() or not not_ready(), JOIN_TIMEOUT):
+            names = ", ".join(not_ready())
+            self._node.get_logger().warning(f"{run.name}: {names} has not joined the run")
+        self._begin(present)
+
+    def _begin(self, present: _Participation) -> None:
+        """Begin the run, if that has not been done: its first message may come."""
+        if not present.has_begun:
+            present.has_begun = True
+            self._part.begin(present.run)
+
+    def _await_end(self, present: _Participation, limit: float = math.inf) -> RunEnd:
+        """Follow a run until it is over; return how it has ended."""
+
+        def is_over() -> bool:
+            return present.has_ended and present.streams.satisfied and self._part.is_complete()
+
+        present.note_sign()
+        deadline = time.monotonic() + limit
+        while not self._node.wait(is_over, POLL):
+            if self._next is not None:
+                text = f"another run, {self._next.name}, was announced meanwhile"
+                return RunEnd(EndKind.ABANDONED, text)
+            is_open = not (present.has_ended or present.is_closed)
+            if is_open and self.roll.is_there(present.run.info.announcer):
+                present.note_sign()
+            now = time.monotonic()
+            if now > present.last_sign + (DRAIN_TIMEOUT if present.has_ended else TRANSIT_TIME):
+                if not present.has_ended:
+                    text = "the simulator has gone without ending the run"
+                    return RunEnd(EndKind.ABANDONED, text)
+                missing = "; ".join(present.streams.problems())
+                return RunEnd(EndKind.MISSING, f"ended with messages missing: {missing}")
+            if now > deadline:
+                return RunEnd(EndKind.ABANDONED, "no end of the run")
+        if present.counts is None or present.counts.complete:
+            return RunEnd(EndKind.COMPLETE)
+        reason = str(present.counts.reason)
+        requested = reason in {kind.value for kind in CutKind if kind.is_requested}
+        requested = requested or (reason == INTERRUPTED and self._node.end_request.is_set())
+        return RunEnd(EndKind.REQUESTED if requested else EndKind.CUT, reason)
+
+    # announcements
+
+    def _hear_announcement(self, info: Any) -> None:
+        present = self._present
+        is_own = present is not None and info.announcer == present.run.info.announcer
+        if not info.run_id:
+            if present is not None and is_own and not present.has_ended:
+                present.is_closed, present.has_ended = True, not present.run.simulated
+                present.note_sign()
+            return
+        if run_key(info) == self._last_key:
+            return
+        scene = _scene_of(info)
+        if info.source not in self._sources or (
+            info.source == RunSource.REPLAY
+            and has_streams(self._role)
+            and self.roll.id not in info.participants
+        ):
+            self.roll.report_ignored(info, f"this node does not take part in a {info.source}")
+        elif present is not None and not is_own:
+            self.roll.report_ignored(info, f"this node takes part in {present.run.name}")
+        else:
+            self._last_key = run_key(info)
+            self._next = AnnouncedRun(info, scene)
+
+    def _hear_counts(self, counts: Any) -> None:
+        sent, present = counts_of(counts), self._present
+        if present is None or (counts.publisher, counts.run_id) != (SIMULATOR, present.run.id):
+            return
+        present.streams.end(SIMULATOR, sent)
+        present.counts, present.has_ended = counts, True
+        present.note_sign()
+
+    def assume(self, scene: Scene) -> None:
+        """Take part in a trial that no node announces, until the node is asked to end."""
+        run = RunDescription.of(
+            scene,
+            uuid.uuid4().hex,
+            [self._role],
+            source=RunSource.TRIAL,
+            announcer=self.roll.id,
+        )
+        self._next = AnnouncedRun(self._node.messages.run_info(run), scene)
+
+
+def _scene_of(info: Any) -> Scene:
+    """Return the scene of an announced run; MessageError if a node cannot take part in it."""
+    try:
+        scene = load_scene_text(info.scene)
+        described = RunDescription.of_message(info)
+    except CaptureSimError as error:
+        raise MessageError(str(error)) from None
+    if described.rate > described.state_rate:
+        raise MessageError(f"rate = {info.rate:g} Hz: must be <= {info.state_rate:g}")
+    if not info.name.isprintable() or len(info.name) > LONGEST_NAME:
+        raise MessageError(
+            f"name = {shown(info.name)}: must be at most {LONGEST_NAME} printable characters"
+        )
+    if info.source not in list(RunSource):
+        raise MessageError(f"source = {shown(info.source)}: must be {', '.join(RunSource)}")
+    return scene

@@ -1,0 +1,187 @@
+"""Play, pause and reset, of the simulator and of a player; without ROS.
+
+Requests come while the running code waits, see :meth:`SimulationControl.tick`: so an answer is
+given at once, and nothing passes between a pause and its answer.  What ``simulation_interfaces``
+(ros-simulation, 2.1) says on a state or result is in its own definitions; its names and numbers
+are used here.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from enum import IntEnum
+from typing import NamedTuple
+
+from capture_sim.nodes.protocol.ends import CutKind
+from capture_sim.nodes.simulation.pacing import Pacer
+
+#: Callbacks get their turn this often while time goes on.  Waits below this are slept through: the
+#: executor's own would be later by 0.1 ms, s (wall).
+SERVICE_PERIOD = 0.005
+
+
+class State(IntEnum):
+    """States of a simulation, as in SimulationState.msg; those for loading a world have no use."""
+
+    STOPPED = 0
+    PLAYING = 1
+    PAUSED = 2
+    QUITTING = 3
+
+
+class Code(IntEnum):
+    """Results, as in Result.msg and SetSimulationState.srv."""
+
+    FEATURE_UNSUPPORTED = 0
+    OK = 1
+    INCORRECT_STATE = 3
+    ALREADY_IN_TARGET_STATE = 101
+    INCORRECT_TRANSITION = 103
+
+
+class Scope(IntEnum):
+    """Bits of ResetSimulation's scope."""
+
+    DEFAULT = 0
+    TIME = 1
+    STATE = 2
+    SPAWNED = 4
+    ALL = 255
+
+
+class Reply(NamedTuple):
+    """Result of a request."""
+
+    code: Code
+    message: str = ""
+
+
+class RunCut(Exception):  # noqa: N818  # not an error: the run is to end before its time
+    """The current run must end; the text gives the reason."""
+
+    def __init__(self, kind: CutKind, reason: str = "") -> None:
+        super().__init__(reason or kind.value)
+        self.kind = kind
+
+
+class SimulationControl:
+    """The state of a simulator or player, and when its next tick may pass.
+
+    ``wait`` runs callbacks for s (wall), and raises KeyboardInterrupt if the process is to end.
+    """
+
+    def __init__(
+        self,
+        state: State,
+        pacer: Pacer,
+        wait: Callable[[float], object],
+    ) -> None:
+        self.pacer = pacer
+        self.state = state
+        self._wait = wait
+        self._cut: RunCut | None = None  # the run that is on is to end
+        self._is_running = False
+        self._served = -math.inf  # s (wall), when callbacks have had their turn
+
+    # requests
+
+    def set_state(self, target: int) -> Reply:
+        """Change the state; a run that is on ends where it is stopped."""
+        if target not in list(State):
+            states = ", ".join(f"{state:d} {state.name.lower()}" for state in State)
+            text = f"state {target}: must be one of {states}"
+            return Reply(Code.INCORRECT_TRANSITION, text)
+        if self.state is State.QUITTING:
+            return Reply(Code.INCORRECT_STATE, "already quitting")
+        if target == self.state:
+            return Reply(Code.ALREADY_IN_TARGET_STATE, f"already {self.state.name.lower()}")
+        self.state = State(target)
+        if self.state in (State.STOPPED, State.QUITTING):
+            self._cut_for(self.state)
+        return Reply(Code.OK)
+
+    def reset(self, scope: int) -> Reply:
+        """Begin again, with time and state together.
+
+        A playing or paused run stays so; a stopped one is at its start already.
+        """
+        if self.state is State.QUITTING:
+            return Reply(Code.INCORRECT_STATE, "already quitting")
+        both = Scope.TIME | Scope.STATE
+        if scope != Scope.DEFAULT and scope & both != both:
+            text = f"scope {scope}: time and state are reset together, by 0, 3, 7 or 255"
+            return Reply(Code.FEATURE_UNSUPPORTED, text)
+        if self._is_running and self.state is not State.STOPPED:
+            self._cut = RunCut(CutKind.RESET)
+        return Reply(Code.OK)
+
+    def abort(self, reason: str) -> None:
+        """End the run that is on, since something has gone wrong."""
+        if self._is_running:
+            self._cut = RunCut(CutKind.ABORTED, reason)
+
+    # the code that runs
+
+    def begin(self) -> None:
+        """Note that a run begins: from here on it can be cut."""
+        self.pacer.reset()
+        self._is_running, self._cut = True, None
+        if self.state in (State.STOPPED, State.QUITTING):
+            self._cut_for(self.state)
+
+    @property
+    def cut_kind(self) -> CutKind | None:
+        """Why the run that is on is to end, if it is."""
+        return None if self._cut is None else self._cut.kind
+
+    def check(self) -> None:
+        """Raise RunCut if the run is to end."""
+        if self._cut is not None:
+            raise self._cut
+
+    def tick(self, t: float) -> None:
+        """Wait until time ``t`` (s) may pass: playing and due.
+
+        The time that passed last passes again at once.  RunCut if the run is to end.
+        """
+        while True:
+            self.check()
+            if t == self.pacer.t:
+                return
+            if self.state is not State.PLAYING:
+                self.pacer.pause()
+                self._serve(math.inf)
+                continue
+            now = time.monotonic()
+            delay = self.pacer.delay(t)
+            if now > self._served + SERVICE_PERIOD:
+                self._serve(max(0.0, delay - SERVICE_PERIOD))
+            elif delay > SERVICE_PERIOD:
+                self._serve(delay - SERVICE_PERIOD)
+            elif delay > 0.0:
+                time.sleep(delay)
+            else:
+                self.pacer.tick(t)
+                return
+
+    def end(self) -> None:
+        """Note that the run is over."""
+        self._is_running = False
+        self.pacer.pause()
+
+    def finish(self) -> None:
+        """Stop, as nothing is left to run, unless something else was requested meanwhile."""
+        if self.state is not State.QUITTING:
+            self.state = State.STOPPED
+
+    def _serve(self, limit: float) -> None:
+        """Let callbacks run for ``limit`` s (wall), 0.1 s at most."""
+        self._wait(min(limit, 0.1))
+        self._served = time.monotonic()
+
+    def _cut_for(self, state: State) -> None:
+        if self._is_running:
+            kind = CutKind.STOPPED if state is State.STOPPED else CutKind.QUITTING
+            self._cut = RunCut(kind)

@@ -1,0 +1,66 @@
+"""The services of ``simulation_interfaces`` on the simulator's control.
+
+With that package's own types where it is installed, else with ours, which have the same
+names and fields.
+"""
+
+from __future__ import annotations
+
+import importlib
+import time
+from collections.abc import Callable
+from typing import Any
+
+from capture_sim.nodes.base.endpoints import TRANSIT_TIME
+from capture_sim.nodes.base.node import BenchNode
+from capture_sim.nodes.simulation.control import Code, Reply, SimulationControl
+
+
+def definitions() -> str:
+    """Return the package whose service definitions are used."""
+    try:
+        importlib.import_module("simulation_interfaces.srv")
+    except ImportError:
+        return "capture_sim"
+    return "simulation_interfaces"
+
+
+class SimulationServices:
+    """Serves ``<node>/set_simulation_state`` and its kin for a control."""
+
+    def __init__(self, node: BenchNode, control: SimulationControl) -> None:
+        self._control = control
+        self._replied_at = 0.0  # s (wall), when the last reply was sent
+        module = importlib.import_module(f"{definitions()}.srv")
+        callbacks: dict[str, Callable[[Any, Any], Any]] = {
+            "GetSimulationState": self._get_state,
+            "SetSimulationState": self._set_state,
+            "ResetSimulation": self._reset,
+        }
+        for name, callback in callbacks.items():
+            service = getattr(module, name)
+            node.create_service(service, f"~/{_snake(name)}", node.guarded(callback))
+
+    def close(self) -> None:
+        """Give the last reply time to arrive."""
+        time.sleep(max(0.0, self._replied_at + TRANSIT_TIME - time.monotonic()))
+
+    def _get_state(self, _: Any, response: Any) -> Any:
+        response.state.state = int(self._control.state)
+        return self._filled(response, Reply(Code.OK))
+
+    def _set_state(self, request: Any, response: Any) -> Any:
+        return self._filled(response, self._control.set_state(request.state.state))
+
+    def _reset(self, request: Any, response: Any) -> Any:
+        return self._filled(response, self._control.reset(request.scope))
+
+    def _filled(self, response: Any, reply: Reply) -> Any:
+        self._replied_at = time.monotonic()
+        response.result.result = int(reply.code)
+        response.result.error_message = reply.message
+        return response
+
+
+def _snake(name: str) -> str:
+    return "".join(f"_{c.lower()}" if c.isupper() else c for c in name).lstrip("_")

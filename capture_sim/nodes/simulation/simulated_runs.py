@@ -1,0 +1,221 @@
+"""Runs of the simulator, one at a time: announced, launched, stepped, ended, left."""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from capture_sim.dynamics.bench import Bench
+from capture_sim.errors import CaptureSimError, MessageError
+from capture_sim.messages.convert import LaunchAction, RunDescription
+from capture_sim.messages.telemetry import BenchTelemetry
+from capture_sim.messages.topics import (
+    BENCH_STATE,
+    LAUNCH_COMMAND,
+    LAUNCHER,
+    PLAYER,
+    RUN_INFO,
+    SIMULATOR,
+    RunSource,
+    topics_of,
+)
+from capture_sim.nodes.base.node import BenchNode
+from capture_sim.nodes.protocol.announcer import Announcer
+from capture_sim.nodes.protocol.ends import INTERRUPTED, CutKind
+from capture_sim.nodes.protocol.roll import Part, Roll, number_of
+from capture_sim.nodes.simulation.control import RunCut, SimulationControl
+from capture_sim.nodes.simulation.diagnostics import SimulatorDiagnostics
+from capture_sim.nodes.simulation.robot_model import RobotModel
+from capture_sim.nodes.simulation.stepping import Stepping
+from capture_sim.run.loads import extremes_to_text
+from capture_sim.scene.launch_plan import LaunchPlan, plan_launch
+from capture_sim.scene.parts import Scene
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """How a run has ended: why it failed, if it did, and by which request, if by one."""
+
+    failure: str = ""
+    cut: CutKind | None = None
+
+
+class LauncherLink:
+    """What a launcher has commanded for the run that is on."""
+
+    def __init__(self, control: SimulationControl) -> None:
+        self._control = control
+        self._run_id = ""
+        self._scene: Scene | None = None
+        self.armed: Any = None  # LaunchCommand
+        self.is_released = False
+
+    def begin(self, run_id: str, scene: Scene) -> None:
+        """Take the commands for this run from now on."""
+        self._run_id, self._scene = run_id, scene
+        self.armed, self.is_released = None, False
+
+    def pending(self) -> str:
+        """Return what the run waits for; empty once it is released."""
+        return "" if self.armed and self.is_released else "waiting for the release"
+
+    def receive(self, command: Any) -> None:
+        """Take a LaunchCommand; MessageError if it cannot be used."""
+        if command.run_id != self._run_id or self._scene is None:
+            return  # kept from an earlier run, for late subscribers
+        if command.action == LaunchAction.ARM:
+            try:
+                _plan(self._scene, command)
+            except CaptureSimError as error:
+                raise MessageError(str(error)) from None
+            self.armed = command
+        elif command.action == LaunchAction.RELEASE:
+            self.is_released = True
+        elif command.action == LaunchAction.ABORT:
+            self._control.abort("aborted by the launcher")
+        else:
+            raise MessageError(f"action = {command.action}: must be 1 to 3")
+
+
+class SimulatedRuns:
+    """Runs scenes for a node.  Create it after all else of the node: it joins the roll.
+
+    ``wait_for``: the nodes that a run waits for, ``start_timeout`` s (wall) at most.
+    """
+
+    def __init__(
+        self,
+        node: BenchNode,
+        control: SimulationControl,
+        wait_for: Sequence[str],
+        start_timeout: float,
+    ) -> None:
+        self._node, self._control, self._start_timeout = node, control, start_timeout
+        self._launcher = LauncherLink(control)
+        self._model = RobotModel(node)
+        self._diagnostics = SimulatorDiagnostics(node, control)
+        node.listen(LAUNCH_COMMAND, self._launcher.receive)
+        topics = topics_of(SIMULATOR)
+        node.open([*(topic for topic in topics if topic is not RUN_INFO), RUN_INFO])
+        self._numbers = itertools.count(1)
+        self._roll = Roll(node, SIMULATOR, on_part=self._check_part)
+        self._announcer = Announcer(node, self._roll, RunSource.SIMULATION, wait_for, control.check)
+
+    def run(self, scene: Scene) -> RunOutcome:
+        """Wait for the others, run a scene, and wait until they have written it."""
+        gc.collect()
+        self._control.begin()
+        telemetry: BenchTelemetry | None = None
+        failure = extremes = ""
+        cut: CutKind | None = None
+        try:
+            self._announcer.await_nodes(scene.name, self._start_timeout)
+            telemetry, has_launcher = self._begin_run(scene)
+            if has_launcher:
+                self._announcer.await_none(scene.name, self._launcher.pending, math.inf)
+            bench = Bench(scene, _plan(scene, self._launcher.armed))
+            failure = self._simulate(bench, telemetry)
+            extremes = "" if failure else extremes_to_text(bench.extremes)
+        except RunCut as request:
+            cut = request.kind
+            failure = "" if cut.is_requested else str(request)
+        except CaptureSimError as error:
+            if error is self._node.failure:
+                raise
+            failure = str(error)
+        except KeyboardInterrupt:
+            if telemetry is not None:
+                self._end_run(telemetry, INTERRUPTED)
+            raise
+        if failure:
+            self._node.get_logger().error(f"{scene.name}: {failure}")
+        if telemetry is not None:
+            self._end_run(telemetry, failure or ("" if cut is None else cut.value), extremes)
+            failure = failure or self._await_participants(scene.name)
+        cut = cut or self._control.cut_kind
+        self._control.end()
+        return RunOutcome(failure, cut)
+
+    def has_dropped_participants(self) -> bool:
+        """Return True if a reader was dropped that takes part in runs."""
+        return any(part.node in self._node.outbox.dropped for part in self._roll.parts.values())
+
+    def _begin_run(self, scene: Scene) -> tuple[BenchTelemetry, bool]:
+        """Announce the run; return its telemetry, and True if a launcher arms and releases."""
+        cast = self._announcer.cast()
+        run_id = f"{number_of(self._roll.id)}{next(self._numbers):08x}"
+        description = RunDescription.of(
+            scene,
+            run_id,
+            [SIMULATOR, *cast.publishers],
+            announcer=self._roll.id,
+            participants=cast.participants,
+        )
+        self._launcher.begin(run_id, scene)
+        telemetry = BenchTelemetry(self._node.messages, scene, description)
+        self._model.begin(scene)
+        self._announcer.announce(description, telemetry.begin().data)
+        return telemetry, LAUNCHER in cast.roles
+
+    def _simulate(self, bench: Bench, telemetry: BenchTelemetry) -> str:
+        """Send the run; return why it failed, or an empty text."""
+        name = bench.scene.name
+        self._node.get_logger().info(f"{name}: released")
+        stepping = Stepping(bench, telemetry, self._control)
+        self._diagnostics.begin(stepping)
+        try:
+            failure = stepping.run(self._node.send, self._model.move)
+        finally:
+            self._diagnostics.end()
+        self._node.get_logger().info(f"{name}: done, {stepping.count} samples, {stepping.figures}")
+        return failure
+
+    def _end_run(self, telemetry: BenchTelemetry, reason: str, extremes: str = "") -> None:
+        """Wait until all that was sent has arrived, then report the counts."""
+        for sent in telemetry.rest():
+            self._node.publish(sent)
+        self._announcer.await_read()
+        self._node.publish(telemetry.end(reason, extremes))
+
+    def _await_participants(self, name: str) -> str:
+        """Wait until the other nodes have received and written the run; return their failures."""
+        try:
+            self._announcer.await_done()
+        except CaptureSimError as error:
+            if error is self._node.failure:
+                raise
+            self._node.get_logger().error(f"{name}: {error}")
+            return str(error)
+        finally:
+            self._announcer.close()
+        return ""
+
+    def _check_part(self, part: Part) -> None:
+        """Raise CaptureSimError beside a trial, or an older simulator or player.
+
+        With two of them no stream is complete.
+        """
+        self._announcer.check_part(part)
+        if part.role in (SIMULATOR, PLAYER) and part.number < number_of(self._roll.id):
+            topic = self._node.resolve_topic_name(BENCH_STATE.name)
+            raise CaptureSimError(
+                f"another {part.role}, {part.node}, publishes {topic}: use another ROS_DOMAIN_ID "
+                "or namespace"
+            )
+
+
+def _plan(scene: Scene, armed: Any) -> LaunchPlan:
+    """Return the launch with the mass and height that a launcher has set, if one has."""
+    if scene.string is None or armed is None:
+        return plan_launch(scene)
+    fitted = replace(
+        scene.string,
+        impact_speed=None,
+        hanging_mass=armed.hanging_mass,
+        drop_height=armed.drop_height,
+    )
+    return plan_launch(replace(scene, string=fitted))

@@ -1,0 +1,80 @@
+"""One run, stepped in time: computed ahead in blocks, paced, and sent sample by sample."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.drive import drive
+from capture_sim.messages.telemetry import BenchTelemetry
+from capture_sim.messages.topics import Topic
+from capture_sim.nodes.simulation.control import RunCut, SimulationControl
+
+#: Samples that the core computes at a time stand for no more wall time than this, s ...
+BLOCK_TIME = 0.01
+#: ... and are no more than this.
+LARGEST_BLOCK = 200
+
+
+class Stepping:
+    """Steps a bench from its release to its end and sends its messages.
+
+    ``control`` is asked before every sample, and its pacer waited for.  ``count``: samples sent;
+    ``t`` (s) and ``residual`` (J): simulated time and energy residual of the last one.
+    """
+
+    def __init__(self, bench: Bench, telemetry: BenchTelemetry, control: SimulationControl) -> None:
+        self.bench = bench
+        self.count = 0
+        self.t = self.residual = 0.0
+        self._telemetry = telemetry
+        self._control = control
+
+    def run(self, send: Callable[[Topic, Any], bool], show: Callable[[np.void], None]) -> str:
+        """Send the run; return why it failed, or an empty text.
+
+        ``send`` is called with every topic and serialised message and returns whether it was sent;
+        ``show`` with every sample that periodic messages were made of, after them.  After RunCut or
+        KeyboardInterrupt, what was made ahead does not count as sent.
+        """
+        made, sent = dict(self._telemetry.by_topic), Counter[Topic]()
+        failure = ""
+        try:
+            for piece in drive(self.bench, block=self._block):
+                block = self._telemetry.block(piece.samples, piece.events, piece.trace)
+                for sample, due in zip(piece.samples, block, strict=True):
+                    self._control.tick(float(sample["t"]))
+                    for topic, _, data in due:
+                        sent[topic] += send(topic, data)
+                    self.count += 1
+                    self.t = float(sample["t"])
+                    self.residual = float(sample["energy_residual"])
+                    if any(topic is BenchTelemetry.LAST_PERIODIC for topic, *_ in due):
+                        show(sample)
+                failure = str(piece.failure or "")
+        except (RunCut, KeyboardInterrupt):
+            self._telemetry.cut(made, sent)
+            raise
+        self._control.pacer.pause()
+        return failure
+
+    def _block(self) -> int:
+        factor, run = self._control.pacer.factor, self.bench.scene.run
+        if factor == 0.0:
+            return LARGEST_BLOCK
+        return int(np.clip(BLOCK_TIME * factor * run.state_rate, 1, LARGEST_BLOCK))
+
+    @property
+    def figures(self) -> str:
+        """How far and how fast the run is, in words."""
+        pacer = self._control.pacer
+        text = f"{self.t:.2f} s simulated in {pacer.wall:.2f} s ({pacer.achieved:.5g} x real time)"
+        late = None if pacer.running else pacer.lateness()
+        if late is not None:
+            shown = ", ".join(f"{1e6 * value:.0f}" for value in late)
+            text += f"; ticks late by {shown} us (p50, p99, p99.9, max)"
+        return text

@@ -1,0 +1,125 @@
+"""A trial as the other nodes see it: announced, commanded, reported, closed."""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import replace
+from typing import Any
+
+from capture_sim.launcher.state_machine import LauncherPhase
+from capture_sim.messages.convert import LaunchAction, RunDescription
+from capture_sim.messages.telemetry import LauncherTelemetry
+from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, RECORDER, RunSource
+from capture_sim.nodes.base.node import BenchNode
+from capture_sim.nodes.protocol.announcer import Announcement, Cast
+from capture_sim.nodes.protocol.roll import DONE, READY, Roll, RunReport
+from capture_sim.trial.trial import Trial, TrialPhase, TrialStep
+
+
+class TrialAnnouncement:
+    """Does the steps of a trial, and follows which nodes take part in it."""
+
+    def __init__(self, node: BenchNode, roll: Roll, trial: Trial) -> None:
+        self.trial = trial
+        self._node, self._roll = node, roll
+        self._announced: Announcement | None = None
+        self._cast = Cast([])
+        self._absent: list[str] = []  # a line for each node that is there, but in another run
+        self._telemetry: LauncherTelemetry
+        self._is_closed = self._is_delivered = False
+
+    def perform(self, step: TrialStep, stamp: int) -> None:
+        """Do a step of the trial; ``stamp``: of the chaser's latest pose, ns."""
+        launcher = self.trial.launcher
+        match step:
+            case TrialStep.ANNOUNCE:
+                self._announce()
+            case TrialStep.RELEASE:
+                for action in (LaunchAction.ARM, LaunchAction.RELEASE):
+                    self._node.publish(self._telemetry.command(0.0, action, launcher.plan))
+                self._node.publish(*self._telemetry.status(0.0, launcher.status))
+                self._node.get_logger().info(f"{self.trial.goal.name}: released")
+            case TrialStep.ABORT:
+                self._telemetry.zero_ns = stamp
+                self._node.publish(self._telemetry.command(0.0, LaunchAction.ABORT, launcher.plan))
+                self._node.publish(*self._telemetry.status(0.0, launcher.status))
+            case TrialStep.CLOSE:
+                self._close()
+
+    def report_launch(self) -> None:
+        """Publish the state of the launch by the poses since the last call."""
+        for stamp, status in self.trial.take_statuses():
+            if self.trial.is_released and not self._is_closed:
+                self._telemetry.zero_ns = stamp
+                self._node.publish(*self._telemetry.status(0.0, status))
+            if status.state is LauncherPhase.DELIVERED and not self._is_delivered:
+                self._is_delivered = True
+                text = status.reason or f"contact at {status.measured_speed:.4g} m/s"
+                self._node.get_logger().info(f"{self.trial.goal.name}: {text}")
+
+    def state_of_others(self) -> dict[str, Any]:
+        """Return which of the other nodes have joined and ended: arguments of Trial.set_others."""
+        if self._announced is None:
+            return {"ready": False, "done": False, "pending": ""}
+        not_joined, not_left = self._announced.not_joined(), self._announced.not_left()
+        return {
+            "ready": not not_joined,
+            "done": self._is_closed and not not_left,
+            "pending": not_joined if self.trial.phase is TrialPhase.PREPARING else not_left,
+        }
+
+    def result(self) -> dict[str, Any]:
+        """Return the fields of the result of a trial that is over."""
+        trial, reports = self.trial, self._announced.reports() if self._announced else []
+        verdict, reason = trial.outcome
+        if CAPTURE_DETECTOR not in self._cast.roles and trial.is_released:
+            reason = reason or "no capture_detector takes part"
+        files = [report.file for report in reports if report.file]
+        problems = [*self._absent, *trial.problems]
+        problems += [problem for report in reports for problem in report.problems]
+        return {
+            "verdict": verdict,
+            "reason": reason,
+            "as_expected": trial.goal.expected in ("", verdict),
+            "recording": files[0] if files else "",
+            "complete": bool(files) and not problems,
+            "problems": problems,
+            "impact_speed": trial.impact_speed,
+            "max_force": trial.loads.max_force,
+            "max_stroke": trial.loads.max_stroke,
+            "max_torsion": trial.loads.max_torsion,
+        }
+
+    def _announce(self) -> None:
+        """Announce the trial to all nodes that take part in trials."""
+        goal = self.trial.goal
+        self._cast = cast = Cast(self._roll.free(RunSource.TRIAL))
+        busy = {part.role: part.node for part in self._roll.busy(RunSource.TRIAL)}
+        for role in {CAPTURE_DETECTOR, RECORDER} - {*cast.roles}:
+            text = f"no {role} takes part"
+            if role in busy:
+                text = f"{busy[role]} does not take part: it is in another run"
+                self._absent.append(text)
+            self._node.get_logger().warning(f"{goal.name}: {text}")
+        run = RunDescription.of(
+            self.trial.scene,
+            uuid.uuid4().hex,
+            sorted({LAUNCHER, *cast.publishers}),
+            source=RunSource.TRIAL,
+            announcer=self._roll.id,
+            participants=sorted({self._roll.id, *cast.participants}),
+        )
+        run = replace(run, name=goal.name, note=goal.note, expected=goal.expected)
+        self._announced = Announcement(self._node, self._roll, run)
+        self._telemetry = LauncherTelemetry(self._node.messages, run.run_id)
+        self._roll.report(READY, run)
+        self._node.get_logger().info(f"{goal.name}: {self.trial.launcher.plan.text}")
+
+    def _close(self) -> None:
+        """Send the counts of the launcher's messages, and that no run is on."""
+        assert self._announced is not None
+        failure = self.trial.failure
+        self._node.publish(self._telemetry.end(failure))
+        self._announced.close()
+        self._roll.report(DONE, self._announced.run, RunReport((failure,) if failure else ()))
+        self._is_closed = True

@@ -1,0 +1,216 @@
+"""The bench of a trial over DDS: measurements and verdict come in, launcher/hold goes out.
+
+The decisions are those of :class:`capture_sim.trial.trial.Trial`: messages and a timer reach it in
+callbacks, and launcher/hold follows it there.  Every callback sends launcher/hold if that is due,
+so it is late by the longest of them at most.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from capture_sim.detection.criteria import CaptureState
+from capture_sim.detection.measurements import Source
+from capture_sim.messages.cdr import Numbers
+from capture_sim.messages.convert import stamp_in
+from capture_sim.messages.definitions import typestore
+from capture_sim.messages.measurements import TOPICS_OF_SOURCE, MeasurementReader
+from capture_sim.messages.topics import CAPTURE_VERDICT, HOLD, LOAD_CELL, Topic
+from capture_sim.nodes.base.endpoints import (
+    TRANSIENT_LOCAL,
+    full_name,
+    message_class,
+    qos_of,
+    why_incompatible,
+)
+from capture_sim.nodes.base.node import LOOK_UP_PERIOD, BenchNode
+from capture_sim.trial.hold import HoldOutput, HoldReaders
+from capture_sim.trial.interlocks import Interlocks, TrialLimits
+from capture_sim.trial.trial import Trial, TrialStep
+
+#: Time limits are looked at this often, s (wall).
+TICK = 0.02
+#: A timer that is later by more than this shows that this node was busy: messages wait for it.
+#: It gets as long to read them before it decides by them, s (wall).
+MAX_LATENESS = 0.1
+BOOL = "std_msgs/msg/Bool"
+#: Name of a node that DDS does not know, or not any more.
+UNKNOWN = "_NODE_NAME_UNKNOWN_"
+
+
+class TrialBench:
+    """Feeds the trial that is on, lets it decide, and holds or lets go the chaser.
+
+    Without ``has_actuator`` the chaser is let go by hand.  ``driver``: the node that must read
+    launcher/hold, empty for any that is not of ``suite``, which returns the full names of the nodes
+    of this suite.  ``steps``: those of the trial that its server has yet to do; ``stamp``: of the
+    chaser's latest pose, ns.
+    """
+
+    def __init__(
+        self,
+        node: BenchNode,
+        limits: TrialLimits,
+        driver: str,
+        suite: Callable[[], set[str]],
+        *,
+        has_actuator: bool,
+    ) -> None:
+        self.steps: list[TrialStep] = []
+        self.stamp = 0
+        self._node, self._suite = node, suite
+        self._trial: Trial | None = None
+        topics = {
+            source: [topic.name for topic in measuring]
+            for source, measuring in TOPICS_OF_SOURCE.items()
+        }
+        self.interlocks = Interlocks(limits, topics, HoldReaders(driver))
+        self._last_tick = self._caught_up = time.monotonic()
+        self._hold: HoldOutput | None = None
+        if has_actuator:
+            # transient local, so that a driver which starts late holds from its first message on
+            kind = message_class(BOOL)
+            output = node.create_publisher(kind, HOLD, TRANSIENT_LOCAL)
+            self._hold = HoldOutput(lambda is_held: output.publish(kind(data=is_held)))
+            self._output_hold()
+        self._force = Numbers(
+            typestore(), LOAD_CELL.type_name, *(f"wrench.force.{axis}" for axis in "xyz")
+        )
+        for source, measuring in TOPICS_OF_SOURCE.items():
+            for topic in measuring:
+                take = partial(self._receive, source, topic, MeasurementReader(topic))
+                node.listen(topic, take, raw=True)
+        node.listen(LOAD_CELL, self._receive_force, raw=True)
+        node.listen(CAPTURE_VERDICT, self._receive_verdict)
+        node.every(TICK, self._tick)
+        node.every(LOOK_UP_PERIOD, self._look_up_others)
+
+    def begin(self, trial: Trial) -> None:
+        """Feed this trial from now on."""
+        self._look_up_others()
+        self.steps.clear()
+        self._trial = trial
+
+    def end(self) -> None:
+        """Feed no trial from now on, and hold."""
+        self._trial = None
+        self._output_hold()
+
+    def take_steps(self) -> list[TrialStep]:
+        """Return the steps since the last call."""
+        steps, self.steps = self.steps, []
+        return steps
+
+    def decide(self) -> None:
+        """Let the trial decide at once, e.g. when it is cancelled."""
+        self._decide(time.monotonic())
+
+    # callbacks
+
+    def _receive(
+        self, source: Source, topic: Topic, reader: MeasurementReader, data: bytes
+    ) -> None:
+        self._output_hold()
+        stamp, values = reader(data)
+        now = time.monotonic()
+        # rates are not used: a driver without velocities may send NaN
+        if source is Source.BUFFER:
+            self.interlocks.add(topic.name, stamp, values[:2], now)
+            if self._trial is not None:
+                self._trial.add_buffer(topic.name, values[0], values[1])
+            return
+        pose = values[0], values[1], values[2]
+        self.interlocks.add(topic.name, stamp, pose, now)
+        if self._trial is None:
+            return
+        self._trial.add_pose(source, topic.name, stamp, pose, now)
+        if source is Source.CHASER:
+            self.stamp = stamp
+            self._decide(now)
+
+    def _receive_force(self, data: bytes) -> None:
+        self._output_hold()
+        if self._trial is not None:
+            self._trial.add_force(*self._force(data).item())
+
+    def _receive_verdict(self, status: Any) -> None:
+        if self._trial is None:
+            return
+        label = CaptureState(status.state).label
+        self._trial.add_verdict(label, status.reason, is_final=status.final, stamp=stamp_in(status))
+        self._decide(time.monotonic())
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        if self._is_late(now):
+            self._caught_up = now + MAX_LATENESS
+        self._last_tick = now
+        self._decide(now)
+        self._output_hold()
+
+    def _is_late(self, now: float) -> bool:
+        return now > self._last_tick + TICK + MAX_LATENESS
+
+    def _look_up_others(self) -> None:
+        """Note who publishes the measurements, and who reads launcher/hold."""
+        nodes, mismatches = {}, {}
+        for topic in (topic for measuring in TOPICS_OF_SOURCE.values() for topic in measuring):
+            name = self._node.resolve_topic_name(topic.name)
+            ends = self._node.get_publishers_info_by_topic(name)
+            nodes[topic.name] = sorted(_names(ends))
+            for end in ends:
+                if problem := _mismatch(topic, end):
+                    mismatches[topic.name] = problem
+        self.interlocks.note_publishers(nodes, mismatches)
+        readers = self._node.get_subscriptions_info_by_topic(self._node.resolve_topic_name(HOLD))
+        problems = {full_name(end): _why_not_reached(end) for end in readers}
+        wrong = {node: problem for node, problem in problems.items() if problem}
+        drivers = _names(readers) - self._suite()
+        self.interlocks.readers.note(drivers - wrong.keys(), wrong, time.monotonic())
+
+    def _decide(self, now: float) -> None:
+        """Let the trial decide; the chaser is let go or held at once.
+
+        Measurements that wait for a node that was busy come first.
+        """
+        if self._trial is not None and now >= self._caught_up and not self._is_late(now):
+            self.steps += self._trial.advance(now)
+            self._output_hold()
+
+    def _output_hold(self) -> None:
+        """Publish whether the chaser is held, if that has changed or is due."""
+        if self._hold is None:
+            return
+        now = time.monotonic()
+        if self._trial is not None:
+            self._trial.note_silence(self._hold.silence(now), now)
+        self._hold.update(self._trial is None or self._trial.holds, now)
+
+
+def _names(ends: Sequence[Any]) -> set[str]:
+    """Return the full names of the nodes; of a process that was killed the name goes first."""
+    return {full_name(end) for end in ends if UNKNOWN not in end.node_name}
+
+
+def _why_not_reached(reader: Any) -> str:
+    """Return why no launcher/hold reaches a reader, e.g. one with a deadline; empty if it does."""
+    if reader.topic_type != BOOL:
+        return f"reads {reader.topic_type}"
+    reason = why_incompatible(TRANSIENT_LOCAL, reader.qos_profile)
+    return reason and f"requests another quality of service: {reason}"
+
+
+def _mismatch(topic: Topic, publisher: Any) -> str:
+    """Return why no message of a publisher can come; empty if messages can.
+
+    Reliability is no reason: a topic of a driver is read as it is published.
+    """
+    if publisher.topic_type != topic.type_name:
+        return f"{full_name(publisher)} publishes {publisher.topic_type}, not {topic.type_name}"
+    wanted = qos_of(topic)
+    wanted.reliability = publisher.qos_profile.reliability
+    reason = why_incompatible(publisher.qos_profile, wanted)
+    return reason and f"{full_name(publisher)} offers another quality of service: {reason}"

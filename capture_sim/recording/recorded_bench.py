@@ -1,0 +1,152 @@
+"""What the suite's nodes recorded of a run: samples, events, trace, statuses and criteria."""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from capture_sim.detection.criteria import CaptureState, CaptureStatus
+from capture_sim.detection.measurements import Counts, Reason, Source
+from capture_sim.dynamics.samples import (
+    SAMPLE,
+    TOUCH,
+    TRACE,
+    Event,
+    EventKind,
+    Phase,
+)
+from capture_sim.errors import RecordingError
+from capture_sim.messages.convert import CRITERIA
+from capture_sim.messages.topics import (
+    BENCH_EVENT,
+    BENCH_STATE,
+    CAPTURE_CRITERIA,
+    CAPTURE_STATUS,
+    CONTACT_TRACE,
+    Topic,
+)
+from capture_sim.recording.clock import Clock, stamps_of
+from capture_sim.recording.recorded_topics import Columns, RecordedTopics
+from capture_sim.scene.parts import Detector
+
+# events that end a touch
+_ENDED = (EventKind.LIFT_OFF.label, EventKind.END.label)
+
+
+def samples_in(topics: RecordedTopics, t_release: float) -> np.ndarray:
+    """Return the recorded BenchStates, (n,) of dtype SAMPLE; bit-identical if t = 0 at 1 s."""
+    recorded = topics.columns(BENCH_STATE)
+    samples = np.zeros(len(recorded.get("t", ())), dtype=SAMPLE)
+    if len(samples):
+        for name in SAMPLE.names or ():
+            samples[name] = recorded[name]
+        _check_numbers(topics, BENCH_STATE, "phase", samples["phase"], Phase)
+        samples["t"] -= t_release
+    samples.flags.writeable = False
+    return samples
+
+
+def events_in(topics: RecordedTopics, t_release: float, *, only_known: bool) -> tuple[Event, ...]:
+    """Return the recorded BenchEvents, in order.
+
+    ``only_known`` leaves out the kinds that this version does not know; else RecordingError.
+    """
+    recorded = topics.columns(BENCH_EVENT)
+    kinds = {kind.label: kind for kind in EventKind}
+    labels = recorded.get("kind", ())
+    unknown = [label for label in labels if label not in kinds]
+    if unknown and not only_known:
+        raise RecordingError(f"{topics.path}: event of unknown kind {unknown[0]!r}")
+    return tuple(
+        Event(
+            kind=kinds[label],
+            t=float(recorded["t"][i]) - t_release,
+            q=recorded["q"][i],
+            v=recorded["v"][i],
+            wall=int(recorded["wall"][i]),
+            detail=recorded["detail"][i],
+            touch=_touch(recorded, i, t_release),
+        )
+        for i, label in enumerate(labels)
+        if label in kinds
+    )
+
+
+def trace_in(topics: RecordedTopics, t_release: float) -> np.ndarray:
+    """Return the contact at the integrator's own steps, (n,) of dtype TRACE.
+
+    Empty unless the scene requests it (``run.trace``).
+    """
+    recorded = topics.columns(CONTACT_TRACE.name)
+    counts = [len(t) for t in recorded.get("t", ())]
+    trace = np.zeros(sum(counts), dtype=TRACE)
+    for name in (TRACE.names or ()) if counts else ():
+        trace[name] = np.concatenate(list(recorded[name])).reshape(trace[name].shape)
+    trace["t"] -= t_release
+    trace.flags.writeable = False
+    return trace
+
+
+def statuses_in(topics: RecordedTopics, clock: Clock) -> tuple[CaptureStatus, ...]:
+    """Return the detector's statuses, in order."""
+    recorded = topics.columns(CAPTURE_STATUS)
+    if not recorded:
+        return ()
+    _check_numbers(topics, CAPTURE_STATUS, "state", recorded["state"], CaptureState)
+    by_name: dict[str, list[Any]] = {
+        name: recorded[name].tolist() for name in CaptureStatus._fields if name in recorded
+    }
+    by_name["t"] = clock.since(stamps_of(recorded)).tolist()
+    by_name["state"] = [CaptureState(state) for state in by_name["state"]]
+    rows = zip(*by_name.values(), strict=True)
+    *earlier, last = (CaptureStatus(**dict(zip(by_name, row, strict=True))) for row in rows)
+    return *earlier, last._replace(not_used=_rejected_in(recorded))
+
+
+def criteria_in(topics: RecordedTopics) -> Detector | None:
+    """Return the detector's criteria; None if not recorded, SceneError if a value is invalid."""
+    recorded = topics.columns(CAPTURE_CRITERIA)
+    if not recorded:
+        return None
+    return Detector(**{field: float(recorded[name][-1]) for name, field in CRITERIA.items()})
+
+
+def _check_numbers(
+    topics: RecordedTopics, topic: Topic, name: str, values: np.ndarray, kinds: type[IntEnum]
+) -> None:
+    highest = max(kinds)
+    if (wrong := values[values > highest]).size:
+        raise RecordingError(
+            f"{topics.path}: {topic.name}: {name} = {wrong[0]}: must be 0 to {highest}"
+        )
+
+
+def _rejected_in(recorded: Columns) -> str:
+    """Return the numbers of measurements that were not used until the last status, as a text.
+
+    Empty for an older recording, which has none.
+    """
+    counts = Counts()
+    for source in Source:
+        for numbers in recorded.get(f"{source.value}_rejected", ())[-1:]:
+            for reason, number in zip(Reason, numbers.tolist(), strict=True):
+                counts.reject(source, reason, number)
+    return counts.text
+
+
+def _touch(recorded: Columns, i: int, t_release: float) -> np.void | None:
+    """Return the touch that event i ended, times since the release; None if it ended none."""
+    if recorded["kind"][i] not in _ENDED or recorded["wall"][i] == 0:
+        return None
+    touch: np.void = np.zeros(1, dtype=TOUCH)[0]
+    touch["start"] = recorded["touch_start"][i]
+    touch["end"] = recorded["t"][i]
+    touch["rate_ratio"] = math.nan  # no message carries it
+    for name in ("wall", "approach_speed", "peak_force", "peak_time", "impulse", "dissipated"):
+        touch[name] = recorded[name][i]
+    for name in ("start", "end", "peak_time"):
+        touch[name] -= t_release
+    return touch

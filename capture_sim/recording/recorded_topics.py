@@ -1,0 +1,210 @@
+"""The topics of a recording as columns, each decoded at its first use."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from rosbags.typesys.store import Typestore
+
+from capture_sim.errors import MessageError, RecordingError
+from capture_sim.messages.cdr import Layout, columns
+from capture_sim.messages.definitions import NO_DEFINITION, store_of
+from capture_sim.messages.evolution import absent_fields, completed
+from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader, NoJointsError
+from capture_sim.messages.topics import (
+    Topic,
+    topic_named,
+)
+from capture_sim.recording.contents import Contents
+
+Columns = Mapping[str, np.ndarray]
+
+
+class RecordedTopics:
+    """The topics of a file or a folder of files, under the bench's names.
+
+    A topic of the bench (a :class:`Topic`) must have its type in the file; a name reads whatever
+    the file has under it.
+    """
+
+    def __init__(self, path: Path, contents: Contents) -> None:
+        self.path = path
+        #: A line for each file that could not be read to its end.
+        self.damage = contents.damage
+        self._contents = contents
+        self._columns: dict[str, Columns] = {}  # as in the file
+        self._completed: dict[Topic, Columns] = {}
+        self._measured: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+
+    @property
+    def topics(self) -> dict[str, int]:
+        """Number of messages by topic, as named in the file."""
+        return {name: len(messages) for name, messages in self._contents.messages.items()}
+
+    @property
+    def types(self) -> dict[str, str]:
+        """Type of every topic (``package/msg/Name``), as named in the file."""
+        return self._contents.types
+
+    def has(self, topic: str | Topic) -> bool:
+        """Return True if a topic has messages, of whatever type."""
+        name = topic if isinstance(topic, str) else topic.name
+        return bool(self._contents.messages.get(self._resolved(name)))
+
+    def holds(self, topic: Topic) -> bool:
+        """Return True if the file holds messages of the topic, and of its type."""
+        name = self._resolved(topic.name)
+        is_typed = self._contents.types.get(name) == topic.type_name
+        return is_typed and bool(self._contents.messages[name])
+
+    @property
+    def typed(self) -> dict[Topic, list[bytes]]:
+        """Messages by topic of the bench, of those that have their type in the file."""
+        return {
+            topic: messages
+            for name, messages in self._contents.messages.items()
+            if (topic := topic_named(name)) and self._contents.types[name] == topic.type_name
+        }
+
+    def log_times(self, topic: str | Topic) -> np.ndarray:
+        """Return the log times of a topic's messages, (n,) int64, ns, ascending."""
+        return np.array(self._contents.log_times.get(self._resolved(topic), ()), dtype=np.int64)
+
+    def raw(self, topic: str | Topic) -> list[bytes]:
+        """Return the serialised messages of a topic, in the order of their log times.
+
+        RecordingError if the topic is one of the bench's and has another type in the file.
+        """
+        return list(self._contents.messages.get(self._resolved(topic), ()))
+
+    def columns(self, topic: str | Topic) -> Columns:
+        """Return a topic's fields by path, see :func:`capture_sim.messages.cdr.columns`.
+
+        Empty for a topic without messages.  A topic of the bench has all fields of its type: those
+        that came after the recording have their defaults; a topic given by name has those in the
+        file.  RecordingError if the messages do not fit their definition, if that lacks a field
+        without a default, or if a topic of the bench has another type in the file.
+        """
+        name = self._resolved(topic)
+        if isinstance(topic, Topic) and self._contents.messages.get(name):
+            self.store_of_topic(topic)
+        if name not in self._columns:
+            self._columns[name] = self._decoded(name)
+        if isinstance(topic, str) or not self._columns[name]:
+            return self._columns[name]
+        if topic not in self._completed:
+            of_type = self.store_of_topic(topic), topic.type_name
+            self._completed[topic] = completed(self._columns[name], *of_type)
+        return self._completed[topic]
+
+    def columns_if_typed(self, topic: Topic) -> Columns:
+        """Return a topic's columns; empty if the file has it with another type."""
+        return self.columns(topic) if self.holds(topic) else {}
+
+    def _decoded(self, name: str) -> Columns:
+        messages = self._contents.messages.get(name)
+        if not messages:
+            return {}
+        type_name = self._contents.types[name]
+        try:
+            return columns(self.store_for(type_name), type_name, messages)
+        except RecursionError:
+            raise RecordingError(
+                f"{self.path}: definition of type {type_name!r} contains itself"
+            ) from None
+        except MessageError as error:
+            raise self._unreadable(name, error) from None
+
+    def store_of_topic(self, topic: Topic) -> Typestore:
+        """Return the store of a topic's type; RecordingError if that lacks a field without default.
+
+        All that reads fields of the bench's topics comes by here.
+        """
+        store = self.store_for(topic.type_name)
+        try:
+            absent_fields(store, topic.type_name)
+        except MessageError as error:
+            raise RecordingError(f"{self.path}: {topic.name}: {error}") from None
+        return store
+
+    def store_for(self, type_name: str) -> Typestore:
+        """Return a store that knows the type as this file defines it."""
+        text = self._contents.schemas.get(type_name, "")
+        try:
+            return store_of(type_name, text)
+        except NO_DEFINITION as error:
+            reason = " ".join(str(error).split())
+            raise RecordingError(
+                f"{self.path}: definition of type {type_name!r} cannot be read: {reason}"
+            ) from None
+
+    def readable(self, topic: Topic) -> tuple[Columns, np.ndarray]:
+        """Return columns and log times, ns, of the messages of a topic that fit its type."""
+        log_times = self.log_times(topic)
+        try:
+            return self.columns(topic), log_times
+        except MessageError:  # a damaged message must not hide the others
+            messages = self.raw(topic)
+            fits = [self._fits(topic, data) for data in messages]
+            if not any(fits):
+                raise
+            store = self.store_for(topic.type_name)
+            kept = [data for data, is_kept in zip(messages, fits, strict=True) if is_kept]
+            fields = columns(store, topic.type_name, kept)
+            return completed(fields, store, topic.type_name), log_times[np.array(fits)]
+
+    def _fits(self, topic: Topic, data: bytes) -> bool:
+        try:
+            Layout(self.store_for(topic.type_name), topic.type_name, data)
+        except MessageError:
+            return False
+        return True
+
+    def measured(self, topic: Topic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return stamps (n,), ns, values (n, m) and log times (n,), ns, of a detector's source.
+
+        Rates that a message lacks are NaN.  Messages that cannot be decoded, and those of other
+        joints, are left out; MessageError if none can be decoded.
+        """
+        if topic.name not in self._measured:
+            self._measured[topic.name] = self._measurements(topic)
+        return self._measured[topic.name]
+
+    def _measurements(self, topic: Topic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        messages = self.raw(topic)
+        store = self.store_of_topic(topic) if messages else self.store_for(topic.type_name)
+        read = MeasurementReader(topic, store)
+        rows, size, first_error = [], OF_A_BENCH[topic].size, None
+        for log_time, data in zip(self.log_times(topic).tolist(), messages, strict=True):
+            try:
+                stamp, values = read(data)
+            except NoJointsError:
+                continue
+            except MessageError as error:  # a damaged message must not hide the others
+                first_error = first_error or error
+                continue
+            values += (math.nan,) * (2 * size - len(values))
+            rows.append((stamp, log_time, values))
+        if first_error is not None and not rows:
+            raise self._unreadable(topic.name, first_error)
+        stamps, log_times = (np.array([row[i] for row in rows], dtype=np.int64) for i in (0, 1))
+        return stamps, np.array([row[2] for row in rows]).reshape(-1, 2 * size), log_times
+
+    def _unreadable(self, name: str, error: MessageError) -> MessageError:
+        return MessageError(f"{self.path}: {name.lstrip('/')}: {error}")
+
+    def _resolved(self, topic: str | Topic) -> str:
+        name = topic if isinstance(topic, str) else topic.name
+        absolute = name if name.startswith("/") else f"/{name}"
+        name = absolute if absolute in self._contents.messages else name
+        if isinstance(topic, Topic):
+            type_name = self._contents.types.get(name, topic.type_name)
+            if type_name != topic.type_name:
+                raise RecordingError(
+                    f"{self.path}: type of {name} = {type_name or 'none'}: must be "
+                    f"{topic.type_name}"
+                )
+        return name

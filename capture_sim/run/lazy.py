@@ -1,0 +1,58 @@
+"""Values that are made at their first use, e.g. of a topic that is not yet decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from typing import Any, Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Deferred(Generic[T]):
+    """A value that is made at its first use."""
+
+    def __init__(self, make: Callable[[], T]) -> None:
+        self._make = make
+
+    @cached_property
+    def value(self) -> T:
+        """The value."""
+        return self._make()
+
+
+class LazyMapping(Mapping[str, T]):
+    """A mapping whose values are made at their first use."""
+
+    def __init__(self, makers: Mapping[str, Callable[[], T]]) -> None:
+        self._values = {name: Deferred(make) for name, make in makers.items()}
+
+    def __getitem__(self, name: str) -> T:
+        return self._values[name].value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._values
+
+
+class Lazy(Generic[T]):
+    """A field of a dataclass that may be given as a Deferred, e.g. of a topic not yet decoded."""
+
+    def __init__(self, default: Callable[[], T]) -> None:
+        self._default = default
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, run: Any, owner: type) -> T:
+        # of the class: the default of the dataclass's field
+        value: Any = None if run is None else run.__dict__[self._name]
+        return value.value if isinstance(value, Deferred) else value  # type: ignore[no-any-return]
+
+    def __set__(self, run: Any, value: T | Deferred[T] | None) -> None:
+        run.__dict__[self._name] = self._default() if value is None else value

@@ -1,0 +1,290 @@
+"""Peak loads of a run, before and after the latch closes."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import json
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from capture_sim.base.compiled.kernels import plain
+from capture_sim.detection.criteria import Criteria
+from capture_sim.dynamics.model.equations import tip_in_cone
+from capture_sim.dynamics.samples import EXTREMES, Event, EventKind, Extremes
+from capture_sim.run.first_contact import first_cluster
+from capture_sim.scene.parts import Scene
+
+
+class Load(NamedTuple):
+    """A load of a run: its key in results, its fields of EXTREMES, and its unit in tables."""
+
+    key: str
+    meaning: str
+    unit: str  # SI
+    shown_in: str  # unit in tables
+    factor: float  # from unit to shown_in
+    extremes: tuple[str, ...]
+    least: bool = False  # True: minimum, not maximum
+
+
+#: Reported extremes of a run; :func:`loads_of` returns four keys for each.
+LOADS = (
+    Load("max_axial_stroke_in", "stroke inwards", "m", "mm", 1e3, ("axial_stroke_in",)),
+    Load("max_axial_stroke_out", "stroke outwards", "m", "mm", 1e3, ("axial_stroke_out",)),
+    Load("max_torsion", "torsion", "rad", "mrad", 1e3, ("torsion",)),
+    Load("max_buffer_force", "force of the buffer", "N", "N", 1.0, ("buffer_force",)),
+    Load("max_buffer_torque", "torque of the buffer", "N m", "N m", 1.0, ("buffer_torque",)),
+    Load(
+        "max_normal_force",
+        "peak normal force",
+        *("N", "N", 1.0),
+        ("normal_force_plus_y", "normal_force_minus_y"),
+    ),
+    Load(
+        "max_normal_force_plus_y",
+        "peak normal force, +y wall",
+        "N",
+        "N",
+        1.0,
+        ("normal_force_plus_y",),
+    ),
+    Load(
+        "max_normal_force_minus_y",
+        "peak normal force, -y wall",
+        "N",
+        "N",
+        1.0,
+        ("normal_force_minus_y",),
+    ),
+    Load("max_latch_force", "force of the latch", "N", "N", 1.0, ("latch_force",)),
+    Load("max_penetration", "penetration", "m", "um", 1e6, ("penetration",)),
+    Load(
+        "nearest_distance", "closest approach to BE", "m", "mm", 1e3, ("tip_distance",), least=True
+    ),
+)
+
+
+#: A stroke or an angle below this is round-off, m and rad.
+_ROUND_OFF = 1e-15
+
+
+def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
+    """Return the loads of a run by name, SI units.
+
+    Every load of :data:`LOADS` has four keys: ``max_torsion`` over the whole run, latch included,
+    ``max_torsion_before_latch`` until the latch closes (the whole run if it never does), and their
+    times ``max_torsion_time`` and ``max_torsion_before_latch_time``, s since the release.  A load
+    that never occurs is 0, with time None; a load that was not measured is None.  Two further keys
+    are ``touches``, their number, and ``first_contact_impulse``, N s.  ``touches`` are (n,) of
+    dtype TOUCH.
+    """
+    # as plain numbers: access to the fields of a record is slow
+    rows: list[Any] = [row.item() for row in extremes if row is not None]
+    loads: dict[str, Any] = {}
+    for load, keys, columns in _columns_of_loads():
+        before = _peak(load, columns, rows[:1])
+        whole = before if len(rows) == 1 else _peak(load, columns, rows)
+        loads[keys[0]], loads[keys[1]] = whole
+        loads[keys[2]], loads[keys[3]] = before
+    del loads["max_latch_force_before_latch"], loads["max_latch_force_before_latch_time"]
+    loads["touches"] = int(touches.size)
+    loads["first_contact_impulse"] = if_measured(first_cluster(touches)["impulse"].sum())
+    return loads
+
+
+@functools.cache
+def _columns_of_loads() -> list[tuple[Load, list[str], list[tuple[int, int]]]]:
+    """Return each load, its keys, and the positions of its extremes in EXTREMES and their times."""
+    names = EXTREMES.names or ()
+    ends = ("", "_time", "_before_latch", "_before_latch_time")
+    return [
+        (
+            load,
+            [f"{load.key}{end}" for end in ends],
+            [(names.index(name), names.index(f"{name}_time")) for name in load.extremes],
+        )
+        for load in LOADS
+    ]
+
+
+def _peak(
+    load: Load, columns: Sequence[tuple[int, int]], rows: Sequence[tuple[float, ...]]
+) -> tuple[float | None, float | None]:
+    """Return a load in some rows of extremes, and its time."""
+    value = t = None
+    for row in rows:
+        for column, time_column in columns:
+            number = row[column]
+            is_peak = value is None or (number < value if load.least else number > value)
+            if is_peak and math.isfinite(number):
+                value, t = number, row[time_column]
+    if value is not None and value < _ROUND_OFF and load.unit in ("m", "rad"):
+        value = 0.0
+    return value, t if value or load.least else None
+
+
+#: Share of the cylinder behind the probe beyond which a stroke inwards is implausible: a real
+#: spring or damper needs the rest.
+_USABLE_SHARE = 0.5
+
+
+def plausible_stroke(scene: Scene) -> float:
+    """Return the stroke inwards that the cylinder plausibly has room for, m.
+
+    It is half of the room behind the probe at rest; infinite with stops, which end the stroke.
+    """
+    if scene.stops is not None:
+        return math.inf
+    behind_hinge = scene.probe.length + scene.probe.tip_radius - scene.rest_length
+    return _USABLE_SHARE * max(scene.cylinder.length - behind_hinge, 0.0)
+
+
+def implausible_stroke(scene: Scene, stroke: float | None) -> str:
+    """Return a warning on a stroke inwards (m) that the cylinder has no room for; else empty."""
+    if not stroke or stroke <= plausible_stroke(scene):
+        return ""
+    return (
+        f"stroke inwards {stroke * 1e3:.4g} mm is more than half of the cylinder's room, and "
+        "nothing ends it: set stops.compression, or a stiffer buffer"
+    )
+
+
+def sampled_extremes(
+    scene: Scene, samples: np.ndarray, touches: np.ndarray, events: Iterable[Event]
+) -> Extremes:
+    """Return the extremes of a run from its samples, touches and events only.
+
+    The peaks of touches come from ``touches``, the force of the latch as it closes from its event.
+    Strokes, torsion, penetration and the buffer's force come from the samples, so peaks between two
+    samples are missed.  A quantity that was not measured is NaN.
+    """
+    latched = next((event for event in events if event.kind is EventKind.LATCHED), None)
+    latch_time = math.inf if latched is None else latched.t
+    parts = [samples[samples["t"] < latch_time], samples[samples["t"] >= latch_time]]
+    is_before = touches["start"] < latch_time
+    touches_of_part = touches[is_before], touches[~is_before]
+    extremes = np.zeros(2, EXTREMES)
+    for row, part, part_touches in zip(extremes, parts, touches_of_part, strict=True):
+        # a latched tip does not press on the walls
+        penetration = np.where(part["normal_force"] > 0.0, part["penetration"], 0.0)
+        series = [
+            ("axial_stroke_in", part["t"], np.maximum(-part["axial_stroke"], 0.0)),
+            ("axial_stroke_out", part["t"], np.maximum(part["axial_stroke"], 0.0)),
+            ("torsion", part["t"], np.abs(part["torsion"])),
+            ("buffer_force", part["t"], np.abs(part["axial_force"] + _stop_force(scene, part))),
+            ("buffer_torque", part["t"], np.abs(part["torsion_torque"])),
+            ("latch_force", part["t"], np.linalg.norm(part["latch_force"], axis=1)),
+            ("penetration", part["t"], penetration.max(axis=1, initial=0.0)),
+            ("tip_distance", part["t"], -part["tip_distance"]),
+        ]
+        for column, (wall, side) in enumerate((("plus_y", 1), ("minus_y", -1))):
+            # wall 0: a measured touch of an unknown wall
+            at_wall = part_touches[np.isin(part_touches["wall"], (side, 0))]
+            times = np.concatenate([part["t"], at_wall["peak_time"]])
+            force = np.concatenate([part["normal_force"][:, column], at_wall["peak_force"]])
+            series.append((f"normal_force_{wall}", times, force))
+        for name, times, values in series:
+            known = np.flatnonzero(np.isfinite(values))
+            row[name] = math.nan
+            if known.size:
+                largest = known[values[known].argmax()]
+                row[name], row[f"{name}_time"] = values[largest], times[largest]
+        row["tip_distance"] *= -1.0
+    after = extremes[1]
+    if latched is not None and scene.latch is not None:
+        # the spring is relaxed then; the damper acts on the full speed of the tip
+        state = (*latched.q.tolist(), *latched.v.tolist())
+        _, _, wx, wy = plain(tip_in_cone)(state, Criteria.of(scene))
+        at_closing = scene.latch.damping * math.hypot(wx, wy)
+        if at_closing > after["latch_force"]:
+            after["latch_force"], after["latch_force_time"] = at_closing, latch_time
+    return Extremes(extremes[0], extremes[1] if parts[1].size else None)
+
+
+def _stop_force(scene: Scene, samples: np.ndarray) -> np.ndarray:
+    """Return the force of the stroke stops on the probe in samples, (n,), N."""
+    stops, stroke = scene.stops, samples["axial_stroke"]
+    force = np.zeros(samples.size)
+    if stops is None:
+        return force
+    for side, end in ((-1.0, -stops.compression), (1.0, stops.extension)):
+        if end is None:
+            continue
+        beyond = side * (stroke - end)
+        push = stops.stiffness * beyond + side * stops.damping * samples["v"][:, 4]
+        force -= np.where(beyond > 0.0, side * np.maximum(push, 0.0), 0.0)
+    return force
+
+
+#: The numbers of a part, in the recordings of the first commits.
+_FIRST_EXTREMES = tuple(
+    f"{name}{end}"
+    for name in (
+        "axial_stroke_in",
+        "axial_stroke_out",
+        "torsion",
+        "tip_distance",
+        "penetration",
+        "peak_force",  # of either wall: in the touches as well, with the wall
+    )
+    for end in ("", "_time")
+)
+
+
+def with_forces_of_touches(
+    extremes: Extremes, touches: np.ndarray, events: Iterable[Event]
+) -> Extremes:
+    """Return extremes of a run with the walls' forces, where they lack them, from its touches."""
+    latched = min((e.t for e in events if e.kind is EventKind.LATCHED), default=math.inf)
+    before, after = extremes.before_latch.copy(), copy.copy(extremes.after_latch)
+    is_before = touches["start"] < latched
+    for row, of_part in zip(
+        (before, after), (touches[is_before], touches[~is_before]), strict=True
+    ):
+        for wall, side in (("plus_y", 1), ("minus_y", -1)):
+            name = f"normal_force_{wall}"
+            if row is None or not math.isnan(row[name]):
+                continue
+            row[name] = 0.0
+            at_wall = of_part[of_part["wall"] == side]
+            if at_wall.size:
+                largest = at_wall[at_wall["peak_force"].argmax()]
+                row[name], row[f"{name}_time"] = largest["peak_force"], largest["peak_time"]
+    return Extremes(before, after)
+
+
+def extremes_to_text(extremes: Extremes) -> str:
+    """Return extremes as a line of JSON, exactly."""
+    names = EXTREMES.names or ()
+    named = [None if row is None else dict(zip(names, row.item(), strict=True)) for row in extremes]
+    return json.dumps(dict(zip(Extremes._fields, named, strict=True)))
+
+
+def extremes_from_text(text: str) -> Extremes:
+    """Return the extremes in a text of :func:`extremes_to_text`; ValueError if it is invalid.
+
+    What a text of another version lacks is NaN: not recorded.
+    """
+    extremes = np.full(2, math.nan, EXTREMES)
+    try:
+        before, after = (json.loads(text)[name] for name in Extremes._fields)
+        for row, values in zip(extremes, (before, after), strict=True):
+            if isinstance(values, list):  # of a list each place had a meaning
+                values = dict(zip(_FIRST_EXTREMES, values, strict=True))
+            if values is not None:
+                for name in (name for name in EXTREMES.names or () if name in values):
+                    row[name] = values[name]
+        if before is None:
+            raise ValueError("no extremes before the latch")
+    except (TypeError, KeyError, IndexError, RecursionError) as error:
+        raise ValueError(str(error)) from None
+    return Extremes(extremes[0], None if after is None else extremes[1])
+
+
+def if_measured(value: float) -> float | None:
+    """Return a number that was measured; None for NaN, as results.json has it."""
+    return float(value) if math.isfinite(value) else None

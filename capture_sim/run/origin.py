@@ -1,0 +1,49 @@
+"""Where a run comes from, how it was made, and how its release was found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import TYPE_CHECKING, Any
+
+from capture_sim.base.software import scene_hash
+from capture_sim.run.lazy import Lazy
+from capture_sim.run.verdict import (
+    Trial,
+)
+from capture_sim.scene.loading import overrides_of
+
+if TYPE_CHECKING:
+    from capture_sim.scene.parts import Scene
+
+
+class Release(Enum):
+    """How the release, t = 0, was found."""
+
+    STAMP = auto()  # recorded, and stamped by the clock of the poses
+    ARRIVAL = auto()  # recorded by its arrival only, or the trial's announcement in its place
+    GIVEN = auto()  # by the user, after the first pose
+    BEGINNING = auto()  # not recorded: the first pose, without poses the first message
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Origin of a run: its source, scene, overrides and software."""
+
+    path: str = ""  # of the recording; empty for a run of :func:`capture_sim.simulate`
+    software: tuple[str, ...] = ()  # that made it, ``"name version"`` each
+    release: Release = Release.STAMP
+    after_first_pose: float = 0.0  # s, of the release
+    trial: Lazy[Trial] = Lazy(lambda: Trial(is_simulated=True))  # used by the live detector
+    problems: tuple[str, ...] = ()  # why the recording is incomplete, one line each
+    left_out: tuple[str, ...] = ()  # topics that cannot be read, one line each
+
+
+def scene_origin(scene: Scene) -> dict[str, Any]:
+    """Return name, overrides and hash of a scene, and the seed of its sensors (None without)."""
+    return {
+        "scene": scene.name,
+        "overrides": overrides_of(scene),
+        "scene_sha256": scene_hash(scene.to_yaml()),
+        "seed": None if scene.sensors is None else scene.sensors.seed,
+    }

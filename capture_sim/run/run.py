@@ -1,0 +1,554 @@
+"""The one run: of :func:`capture_sim.simulate`, of a recording, or of a real bench's bag.
+
+Detection, comparison, fits, plots, reports and tables accept it, whatever it comes from.
+"""
+
+from __future__ import annotations
+
+import html
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from capture_sim.detection.criteria import CaptureStatus
+from capture_sim.dynamics.samples import (
+    ENERGIES,
+    SAMPLE,
+    TOUCH,
+    TRACE,
+    Event,
+    EventKind,
+    Extremes,
+)
+from capture_sim.errors import RecordingError, SceneError
+from capture_sim.run.frames import Table, events_frame, samples_frame, topic_frame, touches_frame
+from capture_sim.run.lazy import Lazy
+from capture_sim.run.loads import loads_of, sampled_extremes
+from capture_sim.run.origin import Origin, scene_origin
+from capture_sim.run.reconstruction import (
+    events_of,
+    measured_samples,
+    placed,
+    touches_in_force,
+    touches_in_samples,
+)
+from capture_sim.run.series import NO_SERIES, STATE, Series, SeriesBySource
+from capture_sim.run.summary import summarize
+from capture_sim.run.summary_table import heads
+from capture_sim.run.summary_table import rows as rows_of
+from capture_sim.run.touches import (
+    MIN_SAMPLES,
+    Touches,
+    first_above,
+    in_force,
+    in_messages,
+    located,
+)
+from capture_sim.run.verdict import (
+    Received,
+    detect_received,
+    detect_state,
+    received_in,
+    with_criteria,
+)
+
+if TYPE_CHECKING:
+    import pandas
+
+    from capture_sim.dynamics.bench import Statistics
+    from capture_sim.scene.launch_plan import LaunchPlan
+    from capture_sim.scene.parts import Detector, Scene
+
+#: Source of located touches and events: the topic that carries them.
+EVENTS = "bench/event"
+
+
+@dataclass(frozen=True)
+class Check:
+    """Comparison of a run with a second, more accurate run.
+
+    The second run has a hundredth of the tolerance (with rk4, a quarter of the step).
+    ``error`` is the largest difference of the two runs up to each sample time, an estimate of the
+    first run's error; an angle counts by the displacement that it causes at the tip.  If
+    ``same_touches`` is False, the sequence of touches depends on the tolerance, and the motion
+    after the first difference is not determined.
+    """
+
+    error: np.ndarray  # (n,), m
+    same_touches: bool  # True if both runs touch the same walls in the same order
+    failure: str = ""  # reason why the second run stopped early; the error is infinite from there
+
+
+class FirstContact(NamedTuple):
+    """The first contact of a run."""
+
+    t: float  # s since the release
+    source: str  # topic that shows it
+
+
+def _empty(dtype: np.dtype) -> Callable[[], np.ndarray]:
+    return lambda: np.zeros(0, dtype)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Run:
+    """One run, whatever it comes from; times are s since the release, units SI.
+
+    A field is empty or None if it is not known of the run.  The properties ``samples``,
+    ``touches``, ``events``, ``statuses``, ``loads`` and ``summary`` are computed from the fields,
+    once, and exist for every run that has a scene and poses.
+
+    Attributes
+    ----------
+    name : str
+        Name of the run.
+    origin : Origin
+        Where the run comes from, and what made it.
+    state : ndarray (n,) of dtype SAMPLE
+        Exact samples of the full state, as simulated; units as in msg/BenchState.msg.
+    series : mapping of mappings of Series
+        Series by quantity and source, e.g. ``series["chaser"]["chaser/odom"]``.
+    located_touches : ndarray (m,) of dtype TOUCH
+        Touches of a wall, each from its located start to its located end.
+    logged_events : sequence of Event
+        Events in order, each with time and state.
+    received : sequence of Received or None
+        Measurements for the detector, as they arrived; None to use the series.
+    reported_statuses : sequence of CaptureStatus
+        Statuses that a detector reported during the run.
+    criteria : Detector or None
+        Criteria of that detector.
+    located_extremes : Extremes or None
+        Peak loads by the integrator's own steps, before and after the latch closes.
+    trace : ndarray (k,) with the fields of TRACE
+        Contact at the ends of the integrator's steps; empty unless requested (``run.trace``).
+    plan : LaunchPlan or None
+        Launch as commanded; None if none was recorded.
+    tables : mapping of Table
+        Recorded topics by name, as columns with units.
+    wall_time : float or None
+        Wall time of the run, s.
+    statistics : Statistics or None
+        Steps, rejected steps and evaluations of the equations of motion.
+    check : Check or None
+        Comparison with a more accurate run; None without ``check=True``.
+    failure : str
+        Reason why the simulation stopped early; empty for a complete run.
+
+    Examples
+    --------
+    >>> from capture_sim import simulate
+    >>> simulate("paper_designed", {"buffer.c_A": 20}, t_end=0.5)
+    Run(paper_designed: undecided, 6 touches, peak 131.6 N, 501 samples to 0.5 s)
+    """
+
+    name: str
+    origin: Origin = field(default_factory=Origin)
+    given_scene: Scene | None = None
+    state: Lazy[np.ndarray] = Lazy(_empty(SAMPLE))
+    series: Lazy[SeriesBySource] = Lazy(dict)
+    located_touches: Lazy[np.ndarray] = Lazy(_empty(TOUCH))
+    logged_events: Lazy[Sequence[Event]] = Lazy(tuple)
+    received: Lazy[Sequence[Received] | None] = Lazy(lambda: None)
+    reported_statuses: Lazy[Sequence[CaptureStatus]] = Lazy(tuple)
+    criteria: Lazy[Detector | None] = Lazy(lambda: None)
+    located_extremes: Lazy[Extremes | None] = Lazy(lambda: None)
+    trace: Lazy[np.ndarray] = Lazy(_empty(TRACE))
+    plan: Lazy[LaunchPlan | None] = Lazy(lambda: None)
+    tables: Lazy[Mapping[str, Table]] = Lazy(dict)
+    wall_time: float | None = None
+    statistics: Statistics | None = None
+    check: Check | None = None
+    failure: str = ""
+
+    # what made it
+
+    @property
+    def scene(self) -> Scene:
+        """Scene of the run; SceneError if it is not known."""
+        if self.given_scene is None:
+            raise SceneError(
+                f"{self.origin.path or self.name}: contains no scene: give it with --scene"
+            )
+        return self.given_scene
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Reasons why the run or its recording is incomplete; empty if it is complete."""
+        failure = (self.failure,) if self.failure else ()
+        return (*failure, *self.origin.problems)
+
+    @property
+    def complete(self) -> bool:
+        """True if the run ended as planned and no message of it was lost."""
+        return not self.problems
+
+    @property
+    def is_exact(self) -> bool:
+        """True if the full state is known; False for a run known from measurements alone."""
+        return self.state.size > 0
+
+    def replaced(self, **changes: Any) -> Run:
+        """Return the run with changed fields; topics that are not yet decoded stay so."""
+        kept = {f.name: self.__dict__[f.name] for f in fields(self)}
+        return Run(**{**kept, **changes})
+
+    @cached_property
+    def made_by(self) -> dict[str, Any]:
+        """How the run was made: source, scene, overrides, hash of the scene, seed, software."""
+        made_by: dict[str, Any] = {"source": self.origin.path or "simulated"}
+        if self.given_scene is not None:
+            made_by |= scene_origin(self.given_scene)
+        return {**made_by, "software": list(self.origin.software)}
+
+    # measurements
+
+    def measured(self, quantity: str) -> Series:
+        """Return the series of a quantity: of its first sensor, else of the exact state."""
+        sources = self.series.get(quantity, {})
+        for name in sorted(sources, key=lambda name: name == STATE):
+            if sources[name].t.size:
+                return sources[name]
+        return NO_SERIES
+
+    @cached_property
+    def cone_force(self) -> Series:
+        """Force on the tip in the cone's axes, (n, 2), N; empty if it was not measured."""
+        if self.is_exact:
+            force = self.state["contact_force"] + self.state["latch_force"]
+            return Series(self.state["t"], _turned(force, -self.state["q"][:, 7]))
+        series = self.measured("tip_force")
+        if not series.t.size:
+            return self.measured("cone_force")
+        return series._replace(values=_turned(series.values, self._attitude(series.t)))
+
+    @cached_property
+    def first_contact(self) -> FirstContact | None:
+        """The first contact: the located event, else of ``bench/contact``, else of a force."""
+        for event in self.logged_events:
+            if event.kind is EventKind.TOUCH:
+                return FirstContact(event.t, EVENTS)
+        for source, in_touch in self.series.get("in_touch", {}).items():
+            begun = self.series["touches_begun"][source]
+            touching = np.flatnonzero((in_touch.values != 0.0) | (begun.values > 0.0))
+            return FirstContact(float(in_touch.t[touching[0]]), source) if touching.size else None
+        for quantity in ("tip_force", "cone_force"):
+            for source, force in self.series.get(quantity, {}).items():
+                first = first_above(force.t, force.values)
+                return None if first is None else FirstContact(first, source)
+        return None
+
+    @cached_property
+    def resolved_touches(self) -> tuple[Touches | None, str]:
+        """The touches that were resolved one by one, and their source; None and why if none were.
+
+        They are the located ones, else those that ``bench/contact`` counted, or those in a sampled
+        force, whichever has more messages.  The first touch that is not resolved ends the list.
+        Peaks are those of the normal force; without a scene those of the magnitude.
+        """
+        if self.located_touches.size:
+            return located(self.located_touches), EVENTS
+        candidates = [
+            (series.t.size, quantity, source, series)
+            for quantity in ("in_touch", "tip_force", "cone_force")
+            for source, series in self.series.get(quantity, {}).items()
+        ]
+        slow_sources = []
+        for _, quantity, source, series in sorted(candidates, key=lambda found: -found[0]):
+            limit = "as long as each message counts one"
+            if quantity == "in_touch":
+                columns = (self.series[name][source] for name in ("touches_begun", "peak_force"))
+                begun, peak = (column.values for column in columns)
+                touches = in_messages(series.t, begun.astype(int), peak, series.values != 0.0)
+            else:
+                touches = self._touches_in(series, is_turned=quantity == "tip_force")
+                shortest = MIN_SAMPLES * series.interval
+                limit = f"which may miss touches below {shortest * 1e3:.3g} ms"
+            described = f"{source}, {series.rate:.4g} Hz" if series.interval else source
+            if touches is not None:
+                return touches, f"{described}, {limit}"
+            slow_sources.append(described)
+        if slow_sources:
+            return None, f"{' and '.join(slow_sources)}: too slow to show touches"
+        return None, "no force"
+
+    def _touches_in(self, force: Series, *, is_turned: bool) -> Touches | None:
+        """Return the touches in a force in the tip's axes, or else in the cone's."""
+        if self.given_scene is None:
+            return in_force(force.t, force.values)
+        attitude = self._attitude(force.t) if is_turned else np.zeros(force.t.size)
+        return in_force(force.t, force.values, attitude, self.given_scene.cone)
+
+    def _attitude(self, t: np.ndarray) -> np.ndarray:
+        """Return the tip's attitude in the cone, (n,), rad; unmeasured angles count as 0."""
+        angle = np.zeros(t.size)
+        for sign, quantity in ((1.0, "chaser"), (-1.0, "target"), (1.0, "torsion")):
+            series = self.measured(quantity)
+            if series.t.size:
+                values = series.values if series.values.ndim == 1 else series.values[:, 2]
+                angle += sign * np.interp(t, series.t, values)
+        return angle
+
+    # derived
+
+    @cached_property
+    def samples(self) -> np.ndarray:
+        """Samples (n,) of dtype SAMPLE: the exact state, else the measurements.
+
+        Measured samples are at the stamps of the chaser's poses; quantities that were not measured
+        are NaN.  SceneError without a scene, RecordingError without poses of both vehicles or
+        without the buffer's state.
+        """
+        if self.is_exact:
+            return self.state
+        scene = self.scene
+        self._check_poses()
+        return measured_samples(
+            scene, self.measured("chaser").t, self._sensors, self._touches_in_samples
+        )
+
+    def _check_poses(self) -> None:
+        where = self.origin.path or self.name
+        for vehicle in ("chaser", "target"):
+            if not self.measured(vehicle).t.size:
+                raise RecordingError(
+                    f"{where}: contains no finite pose of the {vehicle} "
+                    f"(/motion_capture/{vehicle} or /{vehicle}/odom); --remap reads it from "
+                    "another topic"
+                )
+        if not self.measured("stroke").t.size or not self.measured("torsion").t.size:
+            raise RecordingError(
+                f"{where}: contains neither /bench/buffer nor /joint_states with buffer_hinge and "
+                "buffer_slide, so the position of the tip is unknown"
+            )
+
+    @cached_property
+    def _sensors(self) -> dict[str, Series]:
+        """The series that samples are made of."""
+        return {name: self.measured(name) for name in self.series}
+
+    @cached_property
+    def _touches_in_samples(self) -> Touches | None:
+        """The touches between measured samples, if a force shows all of them."""
+        if self.located_touches.size:
+            return located(self.located_touches)
+        if "in_touch" in self.series:
+            return None  # it has walls and counts
+        touches, _ = self.resolved_touches
+        return touches if touches is not None and touches.all_found else None
+
+    @cached_property
+    def touches(self) -> np.ndarray:
+        """Every touch, (m,) of dtype TOUCH, by its end: located, else measured."""
+        if self.is_exact or self.located_touches.size:
+            return self.located_touches
+        if self._touches_in_samples is not None:
+            return touches_in_force(self._touches_in_samples)
+        return touches_in_samples(self.samples, self._sensors)
+
+    @cached_property
+    def events(self) -> Sequence[Event]:
+        """Events in order: as logged, else a touch for each that was measured."""
+        if self.logged_events or self.is_exact:
+            return self.logged_events
+        return events_of(self.scene, self.samples, self.touches, self._sensors)
+
+    @cached_property
+    def statuses(self) -> Sequence[CaptureStatus]:
+        """Statuses of the detector: as reported, else evaluated now; the last has the verdict."""
+        return self.reported_statuses or detect(self)
+
+    @cached_property
+    def extremes(self) -> Extremes:
+        """Peak loads: located, else from samples, touches and events."""
+        if self.located_extremes is not None:
+            return self.located_extremes
+        return sampled_extremes(self.scene, self.samples, self.touches, self.events)
+
+    @cached_property
+    def loads(self) -> dict[str, Any]:
+        """Loads of the whole run and of the time before the latch closes, by name, SI units.
+
+        Examples of names are ``max_torsion`` and ``max_torsion_before_latch``; with the ending
+        ``_time``, the time of that load.  :data:`capture_sim.run.loads.LOADS` lists names
+        and units.
+        """
+        return loads_of(self.extremes, self.touches)
+
+    @property
+    def verdict(self) -> str:
+        """Verdict of the detector: captured, rebound, missed, stuck or undecided."""
+        return self.statuses[-1].state.label if self.statuses else "undecided"
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """Main results of the run, SI units; keys as in results.json."""
+        return summarize(
+            self.name,
+            self.scene,
+            self.samples,
+            self.touches,
+            self.events,
+            self.statuses[-1] if self.statuses else None,
+            self.wall_time,
+            self.located_extremes,
+            self.problems,
+            self.made_by,
+        )
+
+    @cached_property
+    def drawn_scene(self) -> Scene:
+        """The scene as drawn: of a measured run with the vehicles where they were first measured.
+
+        It has the run's name.
+        """
+        if self.is_exact:
+            return self.scene
+        poses = [self.samples["q"][0, :3], self.samples["q"][0, 5:]]
+        return placed(self.scene, self.name, poses)
+
+    @property
+    def t(self) -> np.ndarray:
+        """Sample times (n,), s since the release."""
+        return np.asarray(self.samples["t"])
+
+    @property
+    def q(self) -> np.ndarray:
+        """Coordinates (n, 8): x_S, y_S, theta_S, theta_P, h, x_T, y_T, theta_T; m and rad."""
+        return np.asarray(self.samples["q"])
+
+    @property
+    def v(self) -> np.ndarray:
+        """Rates of ``q`` (n, 8), m/s and rad/s."""
+        return np.asarray(self.samples["v"])
+
+    @property
+    def energy(self) -> dict[str, np.ndarray]:
+        """Energies of the ledger by name, each (n,), J."""
+        return {name: np.asarray(self.samples[name]) for name in ENERGIES}
+
+    # output
+
+    def __repr__(self) -> str:
+        if self.given_scene is None:
+            return f"Run({self.name}: without a scene)"
+        peak = np.nan_to_num(self.touches["peak_force"]).max(initial=0.0)
+        ends = [self.t.max(initial=0.0), *(event.t for event in self.events[-1:])]
+        text = (
+            f"{self.name}: {self._verdict_text()}, {self.touches.size} touches, "
+            f"peak {peak:.1f} N, {self.samples.size} samples to {max(ends):.6g} s"
+        )
+        return f"Run({'; '.join([text, *self.problems[:1]])})"
+
+    def _verdict_text(self) -> str:
+        if not self.statuses:
+            return "no verdict"
+        last = self.statuses[-1]
+        if not last.state.is_verdict:
+            return last.label
+        return f"{last.label} after {last.t - last.time_in_state:.6g} s"
+
+    def _repr_html_(self) -> str:
+        """The summary as a table, for a notebook."""
+        head = f"<caption>{html.escape(self.scene.title)}</caption>"
+        # a second column of values where a latch closed
+        columns = rows_of([self.summary])
+        lines = (
+            f"<tr><th>{' '.join(filter(None, (group, name)))}</th>"
+            f"{''.join(f'<td>{html.escape(cell)}</td>' for cell in cells)}<td>{unit}</td></tr>"
+            for (group, name, unit), *cells in zip(heads(), *columns, strict=True)
+        )
+        return f"<table>{head}{''.join(lines)}</table>"
+
+    def to_dataframe(self, table: str = "samples") -> pandas.DataFrame:
+        """Return samples, touches, events or a recorded topic as a pandas table.
+
+        Parameters
+        ----------
+        table
+            ``samples``: one column for each number, indexed by time ``t``; the name of a component
+            contains that of its field, e.g. ``q.x_S``, ``v.theta_P``, ``penetration.+y``.
+            ``touches``: numbered from 0.  ``events``: kind, wall, detail and state, indexed by
+            ``t``.  Otherwise the name of a topic of ``tables``, indexed by ``t``.
+
+        Returns
+        -------
+        pandas.DataFrame
+            The table; phases and kinds are categories with their names.  ``attrs["units"]`` has
+            the unit of each column and of the index, empty without one.
+
+        Raises
+        ------
+        MissingPackageError
+            pandas is not installed.
+        ValueError
+            There is no such table.
+        """
+        if table == "samples":
+            return samples_frame(self.samples)
+        if table == "touches":
+            return touches_frame(self.touches)
+        if table == "events":
+            return events_frame(self.events)
+        topic = table if table in self.tables else f"/{table}"
+        if topic not in self.tables:
+            available = ", ".join(("samples", "touches", "events", *self.tables))
+            raise ValueError(
+                f"table = {table!r}: must be one of {available}; loads are in run.loads"
+            )
+        return topic_frame(self.tables[topic])
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure of the run; see :func:`capture_sim.plot`.
+
+        Raises
+        ------
+        MissingPackageError
+            matplotlib is not installed.
+        """
+        # imported by name: viewing is in a layer above this one
+        return importlib.import_module("capture_sim").plot(self)
+
+
+def detect(
+    run: Run, scene: Scene | None = None, *, from_series: bool = False
+) -> list[CaptureStatus]:
+    """Evaluate a run with the capture detector; return its statuses, the final verdict last.
+
+    Parameters
+    ----------
+    run
+        Exact samples are evaluated as they are, at the rate of the detector; measurements as the
+        detector's node reads them.
+    scene
+        Gives the criteria; None for the run's scene with the criteria of its own detector.
+    from_series
+        True to evaluate the measurements of a run whose exact samples are known too.
+
+    Raises
+    ------
+    RecordingError
+        A topic that the detector needs is missing.
+    SceneError
+        The run contains no scene.
+    """
+    if scene is None:
+        scene = with_criteria(run.scene, run.criteria, ())
+    has_noise = any(name.startswith("motion_capture/") for name in run.series.get("chaser", ()))
+    is_cut = run.origin.trial.is_cut or bool(run.failure)
+    if run.is_exact and not has_noise and not from_series:
+        return detect_state(run.state, scene, is_cut=is_cut)
+    trial = run.origin.trial._replace(is_cut=is_cut)
+    received = received_in(run.series) if run.received is None else run.received
+    return detect_received(received, scene, trial)
+
+
+def _turned(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return vectors (n, 2) turned by angles (n,), rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = vectors.T
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)

@@ -1,0 +1,149 @@
+"""Main results of a run, by their keys in results.json."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from capture_sim.detection.criteria import CaptureStatus
+from capture_sim.dynamics.samples import EXTREMES, TOUCH, Event, Extremes
+from capture_sim.run.first_contact import first_cluster, first_touch, impact_speed
+from capture_sim.run.loads import if_measured, loads_of, sampled_extremes
+from capture_sim.run.series import at_rate
+from capture_sim.scene.parts import Scene
+
+
+def summarize(
+    name: str,
+    scene: Scene,
+    samples: np.ndarray,
+    touches: np.ndarray,
+    events: Sequence[Event],
+    status: CaptureStatus | None,
+    wall_time: float | None,
+    extremes: Extremes | None = None,
+    problems: Sequence[str] = (),
+    made_by: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Return the main results of a run, SI units; None without contact, verdict or wall time.
+
+    The loads are those of :func:`loads_of`.  Without the bench's ``extremes`` they come from the
+    samples, and ``loads_from`` names the sample rate.  ``energy_residual`` is the largest residual
+    of the ledger at the samples of ``run.rate``, as in the tables of sweeps.  ``problems`` are the
+    reasons why the run or its recording is incomplete, which may change every result.  ``made_by``
+    is what made the run.
+    """
+    sampled, rate = extremes is None, scene.run.rate
+    if extremes is None:
+        extremes = sampled_extremes(scene, samples, touches, events)
+    first = first_cluster(touches)
+    has_contact = first.size > 0
+    touch, speed = first_touch(events), impact_speed(events)
+    is_unmeasured = touch is not None and speed is not None and math.isnan(speed)
+    simulated = float(samples["t"][-1]) if samples.size else 0.0
+    return {
+        "name": name,
+        "verdict": None if status is None else status.state.label,
+        "left_again": status is not None and status.left_again,
+        "not_used": "" if status is None else status.not_used,
+        "problems": list(problems),
+        "impact_speed": None if is_unmeasured else speed,
+        "impact_speed_missing": touch.detail if touch is not None and is_unmeasured else "",
+        "first_contact_time": float(first["start"].min()) if has_contact else None,
+        "first_contact_duration": float(first["end"].max() - first["start"].min())
+        if has_contact
+        else None,
+        "first_contact_touches": int(first.size),
+        "first_contact_peak_force": if_measured(first["peak_force"].max()) if has_contact else None,
+        "normal_impulse": if_measured(touches["impulse"].sum()),
+        **loads_of(extremes, touches),
+        "loads_from": f"samples at {_sample_rate(samples):.4g} Hz" if sampled else "integration",
+        "energy_residual": _largest(samples["energy_residual"][at_rate(samples["t"], rate)]),
+        "wall_time": wall_time,
+        "real_time_factor": simulated / wall_time if wall_time else None,
+        "made_by": dict(made_by or {}),
+    }
+
+
+def _sample_rate(samples: np.ndarray) -> float:
+    """Return the sample rate of a run, Hz, from its median interval; 0 if unknown."""
+    interval = float(np.median(np.diff(samples["t"]))) if samples.size > 1 else 0.0
+    return 1.0 / interval if interval > 0.0 else 0.0
+
+
+def _largest(values: np.ndarray) -> float | None:
+    """Return the largest magnitude; None if it was not measured."""
+    largest = float(np.abs(values).max(initial=0.0))
+    return if_measured(largest)
+
+
+#: Key of a row of ``results.json``: file of the recording beside it; null without one.
+RECORDING = "recording"
+#: Keys of such a row that do not say what was measured.
+NOT_NUMBERS = {RECORDING, "wall_time", "real_time_factor", "made_by"}
+#: Value of the keys that are no number, where a row lacks them.
+_MISSING: dict[str, Any] = {
+    "verdict": None,
+    "left_again": False,
+    "not_used": "",
+    "problems": [],
+    "impact_speed_missing": "",
+    "loads_from": "integration",
+    "made_by": {},
+    RECORDING: None,
+}
+#: Texts where these keys are not null.
+_TEXTS_OR_NULL = ("verdict", RECORDING)
+
+
+def row_from(entry: object, where: str) -> dict[str, Any]:
+    """Return a row of ``results.json``, of any version: a key that it lacks has its default.
+
+    ValueError, which begins with ``where``, if the entry is no such row.
+    """
+    if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
+        raise ValueError(f"{where}: name: must be a text")
+    row = {**dict.fromkeys(_number_keys()), **copy.deepcopy(_MISSING), **entry}
+    for key, value in row.items():
+        default = _MISSING.get(key)
+        if key in _number_keys():
+            is_right = value is None or (
+                isinstance(value, int | float) and not isinstance(value, bool)
+            )
+        elif key in _TEXTS_OR_NULL:
+            is_right = value is None or isinstance(value, str)
+        else:
+            is_right = default is None or isinstance(value, type(default))
+        if not is_right:
+            raise ValueError(f"{where}: {key} = {json.dumps(value)[:40]}: must be {_kind(key)}")
+    return row
+
+
+def row_without_results(name: str, problem: str) -> dict[str, Any]:
+    """Return the row of a recording that gives no results, with the reason."""
+    return {**row_from({"name": name}, name), "problems": [problem]}
+
+
+def _kind(key: str) -> str:
+    default = "" if key in _TEXTS_OR_NULL else _MISSING.get(key)
+    kinds = {str: "a text", bool: "true or false", list: "a list", dict: "an object"}
+    text = kinds.get(type(default), "a number")
+    return f"{text} or null" if text == "a number" or key in _TEXTS_OR_NULL else text
+
+
+@functools.cache
+def _number_keys() -> frozenset[str]:
+    """Return the keys of a row whose value is a number or null."""
+    of_runs = {
+        *("impact_speed", "first_contact_time", "first_contact_duration", "energy_residual"),
+        *("first_contact_touches", "first_contact_peak_force", "normal_impulse"),
+        *("wall_time", "real_time_factor"),
+    }
+    nothing = Extremes(np.zeros(1, EXTREMES)[0], None)
+    return frozenset(of_runs | loads_of(nothing, np.zeros(0, TOUCH)).keys())

@@ -1,0 +1,145 @@
+"""Main results of several runs as a table, with notes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+
+class _Column(NamedTuple):
+    """One column of the table: group, name and unit in its head, and its number."""
+
+    group: str
+    name: str
+    unit: str
+    key: str
+    form: str
+    factor: float = 1.0
+
+
+_COLUMNS = (
+    _Column("", "experiment", "", "name", "{}"),
+    _Column("", "verdict", "", "verdict", "{}"),
+    _Column("contact", "speed", "m/s", "impact_speed", "{:.4f}"),
+    _Column("contact", "time", "s", "first_contact_time", "{:.3f}"),
+    _Column("contact", "lasts", "ms", "first_contact_duration", "{:.1f}", 1e3),
+    _Column("contact", "n", "", "first_contact_touches", "{}"),
+    _Column("touch", "n", "", "touches", "{}"),
+    _Column("touch", "peak", "N", "max_normal_force", "{:.1f}"),
+    _Column("buffer", "in", "mm", "max_axial_stroke_in", "{:.2f}", 1e3),
+    _Column("buffer", "out", "mm", "max_axial_stroke_out", "{:.2f}", 1e3),
+    _Column("buffer", "torsion", "mrad", "max_torsion", "{:.2f}", 1e3),
+    _Column("buffer", "force", "N", "max_buffer_force", "{:.1f}"),
+    _Column("latch", "force", "N", "max_latch_force", "{:.1f}"),
+    _Column("", "to BE", "mm", "nearest_distance", "{:.2f}", 1e3),
+)
+#: Label of the row below a run whose latch closed.
+_UNTIL_LATCH = "  until latch"
+#: Label of the row below an incomplete run.
+_INCOMPLETE = "  INCOMPLETE"
+
+#: Meaning of the heads of the table.
+LEGEND = (
+    "Loads are peak values of the whole run; the second row counts until the latch closed.",
+    "n: touches. Contact: the first one, with the wall met first, until the chatter ends.",
+    "Buffer: strokes inwards and outwards, torsion, axial force of spring, damper and stops.",
+    "To BE: closest approach of the tip's centre to the centre of BE, the inner edge of the cone.",
+)
+
+
+def heads() -> list[tuple[str, str, str]]:
+    """Return group, name and unit of every column; neighbours of one group share it."""
+    return [(column.group, column.name, column.unit) for column in _COLUMNS]
+
+
+def rows(
+    summaries: Sequence[dict[str, Any]], names: Sequence[str] | None = None
+) -> list[list[str]]:
+    """Return summaries as texts in the units of :func:`heads`; '-' for None.
+
+    A run whose latch closed has a second row with its loads until then; an incomplete run has a
+    row that marks it.  ``names`` replaces the names of the scenes in the first column.
+    """
+    table_rows = []
+    first_column = [summary["name"] for summary in summaries] if names is None else names
+    for name, summary in zip(first_column, summaries, strict=True):
+        row = [name, *(_text(column, summary[column.key]) for column in _COLUMNS[1:])]
+        if summary["left_again"]:
+            row[1] += ", left"
+        table_rows.append(row)
+        if summary["max_latch_force_time"] is not None:
+            values = (summary.get(f"{column.key}_before_latch") for column in _COLUMNS[1:])
+            cells = (
+                "" if value is None else _text(column, value)
+                for column, value in zip(_COLUMNS[1:], values, strict=True)
+            )
+            table_rows.append([_UNTIL_LATCH, *cells])
+        if summary["problems"]:
+            table_rows.append([_INCOMPLETE, *[""] * (len(_COLUMNS) - 1)])
+    return table_rows
+
+
+def _text(column: _Column, value: Any) -> str:
+    if value is None or (column.key == "max_latch_force" and not value):
+        return "-"
+    return column.form.format(value if column.factor == 1.0 else value * column.factor)
+
+
+def table(summaries: Sequence[dict[str, Any]], names: Sequence[str] | None = None) -> str:
+    """Return summaries as a text table with units in its head, and notes.
+
+    ``names`` replaces the names of the scenes.  It fits 100 columns unless a name is longer than 17
+    letters.
+    """
+    from capture_sim.base.tables import table_text  # rich: only where a table is printed
+
+    if names is not None:
+        summaries = [{**row, "name": name} for row, name in zip(summaries, names, strict=True)]
+    # the group is over the column of its longest name, so that it needs no room
+    widest = {column.group: column for column in sorted(_COLUMNS, key=lambda c: len(c.name))}
+    head = [
+        f"{column.group if column is widest[column.group] else ''}\n{column.name}\n{column.unit}"
+        for column in _COLUMNS
+    ]
+    text = table_text(head, rows(summaries), left=2, gap=1)
+    return "\n".join([text, "", *LEGEND, *notes(summaries)])
+
+
+def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
+    """Return notes on completeness, accuracy and speed of the runs of a table."""
+    lines = [
+        f"{s['name']}: incomplete: {'; '.join(s['problems'][:3])}."
+        for s in summaries
+        if s["problems"]
+    ]
+    lines += [
+        f"{s['name']}: loads are peaks of {s['loads_from']}, which may miss larger ones between "
+        "them; loads of touches, and of the latch as it closes, are located."
+        for s in summaries
+        if s["loads_from"] != "integration"
+    ]
+    lines += [
+        f"{s['name']}: {s['impact_speed_missing']}." for s in summaries if s["impact_speed_missing"]
+    ]
+    residuals = [s["energy_residual"] for s in summaries if s["energy_residual"] is not None]
+    if residuals:
+        lines.append(f"The energy ledger closes to {max(residuals):.0e} J.")
+    factors = [s["real_time_factor"] for s in summaries if s["real_time_factor"]]
+    if factors:
+        low, high = (f"{f:.0f}" if f >= 10 else f"{f:.1f}" for f in (min(factors), max(factors)))
+        span_text = low if low == high else f"{low} to {high}"
+        lines.append(f"Run at {span_text} times real time.")
+    return lines + [made_by_text(s["name"], s["made_by"]) for s in summaries if s.get("made_by")]
+
+
+def made_by_text(name: str, made_by: Mapping[str, Any]) -> str:
+    """Return a run's origin as a line: scene, hash, overrides, seed and version."""
+    parts = [f"scene {made_by['scene']}"] if "scene" in made_by else []
+    if parts and "scene_sha256" in made_by:
+        parts[0] += f" ({made_by['scene_sha256'][:12]})"
+    if made_by.get("overrides"):
+        parts.append("with " + ", ".join(made_by["overrides"]))
+    if made_by.get("seed") is not None:
+        parts.append(f"seed {made_by['seed']}")
+    own = [line for line in made_by.get("software", ()) if line.startswith("capture_sim ")]
+    return f"{name}: {made_by.get('source', 'unknown source')}: {'; '.join([*parts, *own])}."

@@ -1,0 +1,101 @@
+"""The capture detector on a run's series, as if it had read the messages then."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.detection.criteria import CaptureStatus
+from capture_sim.detection.exact import ExactDetector
+from capture_sim.detection.measurements import REORDER, Source, Values
+from capture_sim.run.series import STATE, SeriesBySource, at_rate
+from capture_sim.scene.parts import Detector, Scene
+
+#: Resolution of stamps that count from 1970, as floats, s.
+TICK = 1e-6
+
+
+class Trial(NamedTuple):
+    """What the live detector knew of a run, and the part of a recording that it has used."""
+
+    is_simulated: bool  # one clock stamps everything, and the run begins with the release
+    last: float = math.inf  # last instant that is evaluated, s since the release
+    is_cut: bool = False  # the run ended early
+
+
+def with_criteria(scene: Scene, recorded: Detector | None, changed: Collection[str]) -> Scene:
+    """Return the scene with the recorded criteria, but the scene's own where they were changed.
+
+    Without recorded criteria, all are the scene's.
+    """
+    if recorded is None:
+        return scene
+    changes = {name: getattr(scene.detector, name) for name in changed}
+    return replace(scene, detector=replace(recorded, **changes))
+
+
+def detect_state(state: np.ndarray, scene: Scene, *, is_cut: bool) -> list[CaptureStatus]:
+    """Evaluate exact samples, (n,) of dtype SAMPLE, at the scene's ``run.rate``.
+
+    Return the statuses; the last one has the verdict.
+    """
+    detector = ExactDetector(scene)
+    due = state[at_rate(state["t"], scene.run.rate)]
+    return [*detector.update(due), detector.finish(cut=is_cut)]
+
+
+class Received(NamedTuple):
+    """A measurement as the detector has received it; times are ns since the release."""
+
+    source: Source
+    stamp: int
+    values: Values
+    arrival: int | None = None  # None: it shows nothing about the source's clock
+
+
+def detect_received(
+    received: Iterable[Received], scene: Scene, trial: Trial
+) -> list[CaptureStatus]:
+    """Evaluate measurements, in the order of their arrival, as the detector's node does.
+
+    Return the statuses, the final verdict last.
+    """
+    from capture_sim.detection.detector import CaptureDetector  # 15 ms, not for exact samples
+
+    detector = CaptureDetector(
+        scene,
+        is_released=trial.is_simulated,
+        reorder=0 if trial.is_simulated else REORDER,
+        last=trial.last,
+    )
+    statuses = [status for each in received for status in detector.measure(*each)]
+    return [*statuses, *detector.finish(cut=trial.is_cut)]
+
+
+def received_in(series: SeriesBySource) -> list[Received]:
+    """Return measurements of a run's simulated sensors; without motion capture, poses are exact.
+
+    They are in the order of their times, and as exact as the sensors.
+    """
+    received = []
+    for source, quantities in _QUANTITIES.items():
+        # a sensor's series before the exact one
+        names = (min(series[name], key=lambda of: of == STATE) for name in quantities)
+        chosen = [series[q][name] for q, name in zip(quantities, names, strict=True)]
+        stamps = np.rint(chosen[0].t * 1e9).astype(np.int64).tolist()
+        rows = np.column_stack([each.values for each in chosen]).tolist()
+        received += [
+            Received(source, stamp, tuple(row)) for stamp, row in zip(stamps, rows, strict=True)
+        ]
+    return sorted(received, key=lambda each: each.stamp)
+
+
+_QUANTITIES = {
+    Source.CHASER: ("chaser",),
+    Source.TARGET: ("target",),
+    Source.BUFFER: ("stroke", "torsion", "stroke_rate", "torsion_rate"),
+}

@@ -1,0 +1,176 @@
+"""The plan of a launch: which mass at which height.
+
+While the mass sinks, chaser, mass and pulley are one freedom (``physics`` of the paper's
+section 6):
+
+    a = (m_h g - F_roll) / (m + m_h + I_p / r_p^2)
+
+then the chaser coasts against its rolling resistance, a_c = F_roll / m, to the first
+touch, a distance D from where it was released.  Energy over both parts gives
+
+    v_impact^2 = 2 a H - 2 a_c (D - H)
+
+which is solved for the drop height H or, through a, for the mass.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from capture_sim.base.compiled.kernels import plain
+from capture_sim.errors import SceneError
+from capture_sim.scene.cache import depends_on
+from capture_sim.scene.geometry import tip_motion, travel_to_wall
+from capture_sim.scene.parts import Scene
+
+
+class LaunchPlan(NamedTuple):
+    """How the chaser is launched; SI units."""
+
+    # hanging_mass, drop_height: kg and m; zero in a scene without string
+    hanging_mass: float
+    drop_height: float
+    impact_speed: float  # expected speed of the chaser at the first touch, m/s
+    # landing_speed, landing_time: when the mass lands, m/s and s after the release
+    landing_speed: float
+    landing_time: float
+    contact_time: float  # expected first touch, s after the release; ``inf`` if there is none
+    travel: float  # of the chaser from the release to the first touch, m; ``inf`` if there is none
+
+    @property
+    def text(self) -> str:
+        """The launch in words."""
+        how = "no string"
+        if self.hanging_mass > 0.0:
+            how = f"{self.hanging_mass:.6g} kg at {self.drop_height:.6g} m"
+        return f"{how} for {self.impact_speed:.6g} m/s"
+
+
+#: Fields that the tip's place at the release depends on.
+TIP_AT_RELEASE = (
+    *("initial.chaser.x", "initial.chaser.y", "initial.chaser.theta", "initial.target"),
+    *("buffer.hinge_offset", "buffer.rest_length", "probe"),
+)
+
+
+@depends_on(*TIP_AT_RELEASE)
+def tip_at_release(scene: Scene) -> tuple[float, float, float, float]:
+    """Return the tip's x and y (m) and the chaser's direction, all in the target's frame."""
+    chaser, target = scene.initial.chaser, scene.initial.target
+    s, c = math.sin(chaser.theta), math.cos(chaser.theta)
+    # straight, the buffer is part of the chaser: of length 0 at the tip
+    arm, pose = scene.buffer.hinge_offset + scene.rest_length, (chaser.x, chaser.y)
+    q = (*pose, chaser.theta, chaser.theta, 0.0, target.x, target.y, target.theta)
+    unit_rates = (c, s, *6 * (0.0,))
+    sine_cosine = (s, c, s, c, math.sin(target.theta), math.cos(target.theta))
+    return plain(tip_motion)((*q, *unit_rates), arm, *sine_cosine)
+
+
+@depends_on(*TIP_AT_RELEASE, "cone")
+def travel_to_touch(scene: Scene) -> float:
+    """Return the chaser's travel to the first touch of a resting target, m.
+
+    The chaser moves straight along its heading with the buffer at rest; ``inf`` if the
+    tip misses the cone.
+    """
+    px, py, ux, uy = tip_at_release(scene)
+    cone = scene.cone
+    return min(
+        travel_to_wall(
+            -(px + cone.L_T),
+            side * py,
+            -ux,
+            side * uy,
+            scene.probe.tip_radius,
+            cone.R_c,
+            cone.L_c,
+            cone.half_angle,
+        )
+        for side in (1.0, -1.0)
+    )
+
+
+def rolling_force(scene: Scene) -> float:
+    """Return the chaser's rolling resistance in straight motion, N."""
+    if scene.supports is None:
+        return 0.0
+    return scene.supports.chaser.c_rr * scene.chaser_total_mass * scene.gravity
+
+
+def _unlaunched(scene: Scene) -> LaunchPlan:
+    """Return the plan of a scene without string: the chaser has its speed already."""
+    i = scene.initial.chaser
+    speed = math.hypot(i.vx, i.vy)
+    travel = travel_to_touch(scene)
+    slow = 2.0 * rolling_force(scene) / scene.chaser_total_mass * travel
+    arrives = speed > 0.0 and math.isfinite(travel) and speed**2 > slow
+    impact = math.sqrt(speed**2 - slow) if arrives else 0.0
+    contact = 2.0 * travel / (speed + impact) if arrives else math.inf
+    return LaunchPlan(0.0, 0.0, impact, speed, 0.0, contact, travel)
+
+
+def plan_launch(scene: Scene) -> LaunchPlan:
+    """Choose hanging mass or drop height for the wanted impact speed, in closed form.
+
+    Of ``string.impact_speed``, ``string.hanging_mass`` and ``string.drop_height`` two are
+    given; the third follows.
+
+    Raises
+    ------
+    SceneError
+        No mass or height gives the wanted speed; the message names the limit that is reached.
+    """
+    if scene.string is None:
+        return _unlaunched(scene)
+    string, g = scene.string, scene.gravity
+    m = scene.chaser_total_mass
+    friction = rolling_force(scene)
+    pulley = string.pulley_inertia / string.pulley_radius**2
+    travel = travel_to_touch(scene)
+    if not math.isfinite(travel):
+        raise SceneError(
+            "string.impact_speed: the chaser's straight path misses the cone, "
+            "so no speed of the launch gives an impact"
+        )
+    coast = friction / m
+    v, mass, height = string.impact_speed, string.hanging_mass, string.drop_height
+
+    def acceleration(mass: float) -> float:
+        return (mass * g - friction) / (m + mass + pulley)
+
+    if mass is not None and acceleration(mass) <= 0.0:
+        raise SceneError(
+            f"string.hanging_mass = {mass!r} kg: must be > {friction / g:.6g}, "
+            "the mass that overcomes rolling resistance"
+        )
+    if height is None:
+        assert v is not None
+        assert mass is not None
+        height = (v * v + 2.0 * coast * travel) / (2.0 * (acceleration(mass) + coast))
+    assert scene.rail is not None
+    if height > scene.rail.length:
+        raise SceneError(
+            f"string.drop_height = {height!r} m: must be <= {scene.rail.length:g}, "
+            "rail.length: the mass must land before the rail ends"
+        )
+    if mass is None:
+        assert v is not None
+        # height is at most the travel, so a > 0 whenever v > 0
+        a = (v * v + 2.0 * coast * (travel - height)) / (2.0 * height)
+        if a >= g:
+            raise SceneError(
+                f"string.drop_height = {height!r} m: must be > "
+                f"{(v * v + 2.0 * coast * travel) / (2.0 * (g + coast)):.6g}, "
+                f"the least that gives {v!r} m/s in free fall"
+            )
+        mass = (a * (m + pulley) + friction) / (g - a)
+    a = acceleration(mass)
+    landing = math.sqrt(2.0 * a * height)
+    left = landing * landing - 2.0 * coast * (travel - height)
+    impact = math.sqrt(left) if left > 0.0 else 0.0
+    landing_time = 2.0 * height / landing
+    contact = math.inf
+    if impact > 0.0:
+        contact = landing_time + 2.0 * (travel - height) / (landing + impact)
+    return LaunchPlan(mass, height, impact, landing, landing_time, contact, travel)

@@ -1,0 +1,329 @@
+"""Loading of scenes, with checks of the rules that tie their parts together."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from capture_sim.base.compiled.kernels import plain
+from capture_sim.base.resources import config_dir
+from capture_sim.errors import SceneError
+from capture_sim.scene.approach import approached
+from capture_sim.scene.ball_loads import LOADS, loads
+from capture_sim.scene.cache import depends_on
+from capture_sim.scene.files import (
+    Overrides,
+    build,
+    find_scene,
+    known_fields,
+    overridden,
+    parse_scene,
+    read_scene,
+)
+from capture_sim.scene.geometry import nearest_on_wall
+from capture_sim.scene.launch_plan import (
+    TIP_AT_RELEASE,
+    LaunchPlan,
+    plan_launch,
+    tip_at_release,
+    travel_to_touch,
+)
+from capture_sim.scene.parts import NEED_POSITIVE_RESTITUTION, Scene, as_mapping, as_name
+from capture_sim.scene.quantities import refuse, shown
+
+#: Between a scene's title and the list of its changes.
+_CHANGED = "; with "
+#: Between two changes; a value may have commas.
+_NEXT_CHANGE = re.compile(r", (?=[a-z_]\w*(?:\.\w+)*=)")
+#: Smallest distance of two strokes in a table of forces, m.
+MIN_TABLE_SPACING = 1e-6
+#: A name that lists more changes than fit gets a hash of them, characters.
+_LONGEST_NAME = 60
+
+
+def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
+    """Load a scene by name (config/scenes) or path, and change values in it.
+
+    Parameters
+    ----------
+    name_or_path
+        Name, e.g. ``"tilt_p10"``, or path of a YAML file.
+    overrides
+        Changed values as texts, e.g. ``["buffer.c_A=13"]``, or by name, e.g.
+        ``{"buffer.c_A": 13}`` or a row of a pandas table; SI units, or texts with a unit.
+        ``approach.angle``, ``.offset`` or ``.mouth_offset``, and ``.speed`` start the scene just
+        before its first touch, without rail and string.
+
+    Returns
+    -------
+    Scene
+        The checked scene, frozen; its parts and their fields are those of the YAML file, e.g.
+        ``scene.buffer.c_A``.
+
+    Raises
+    ------
+    SceneError
+        The scene is not found or a value is invalid; the message names field, value, unit and
+        allowed range in one line.
+    """
+    path = find_scene(name_or_path)
+    data = read_scene(path)
+    data.setdefault("name", path.stem)
+    data.setdefault("title", str(data["name"]))
+    if path.parent != config_dir() / "scenes":
+        # a user's file: name it in the error, before its values are changed
+        try:
+            check_scene(build(data))
+        except SceneError as error:
+            raise SceneError(f"{path.name}: {error}") from None
+    return _changed(data, overrides)
+
+
+def load_requested(text: str, overrides: Overrides = (), folder: Path | None = None) -> Scene:
+    """Load a scene that is requested over the network, see :func:`load_scene`.
+
+    ``text`` is the name of a file in ``folder`` or of a packaged scene, or YAML text.  SceneError
+    for a path: a request must not read files of this machine.
+    """
+    if "\n" in text:
+        return load_scene_text(text, overrides)
+    name = text.removesuffix(".yaml")
+    if "/" in name or name.endswith((".yaml", ".yml")):
+        raise SceneError(f"scene = {shown(text)}: must be a packaged scene's name, or YAML text")
+    return load_scene(find_scene(name, folder), overrides)
+
+
+def load_scene_text(text: str, overrides: Overrides = (), *, only_known: bool = False) -> Scene:
+    """Return the scene of resolved YAML text (no ``extends``), as recordings contain it.
+
+    ``only_known`` leaves out the fields that this version does not know.  See :func:`load_scene`.
+    """
+    data = parse_scene(text, "scene")
+    return _changed(known_fields(data) if only_known else data, overrides)
+
+
+def change_scene(scene: Scene, overrides: Overrides) -> Scene:
+    """Return a scene with changed values; see :func:`load_scene`."""
+    return _changed(as_mapping(scene), overrides)
+
+
+def _changed(data: dict[str, object], overrides: Overrides) -> Scene:
+    """Return a checked scene with changed values, which its title lists."""
+    data, changes = overridden(data, overrides)
+    approach = data.pop("approach", None)
+    scene: Scene = build(data)
+    if approach is not None:
+        if not isinstance(approach, Mapping):
+            raise SceneError("approach: must be its fields, e.g. approach.angle='5 deg'")
+        scene = approached(scene, approach)
+    if changes := [change for change in changes if not change.startswith("title=")]:
+        scene = dataclasses.replace(scene, title=f"{scene.title}{_CHANGED}{', '.join(changes)}")
+    check_scene(scene)
+    return scene
+
+
+def overrides_of(scene: Scene) -> list[str]:
+    """Return the changes that were made to a scene, ``name=value`` each, as its title has them."""
+    _, _, changes = scene.title.partition(_CHANGED)
+    return _NEXT_CHANGE.split(changes.replace(_CHANGED, ", ")) if changes else []
+
+
+def overridden_name(scene: Scene) -> str:
+    """Return a name of a changed scene that names its changes, e.g. ``tilt_0_c_A_20``."""
+    changes = overrides_of(scene)
+    if any(change.startswith("name=") for change in changes):
+        return scene.name
+    fields = (change.partition("=") for change in changes)
+    texts = [f"{path.rpartition('.')[2]}_{value}" for path, _, value in fields]
+    name = "_".join([scene.name, *texts])
+    if len(name) > _LONGEST_NAME:
+        digest = hashlib.sha256(", ".join(changes).encode()).hexdigest()[:8]
+        name = f"{scene.name}_{digest}"
+    return as_name(name)
+
+
+def check_scene(scene: Scene) -> LaunchPlan:
+    """Check the rules that tie the parts of a scene together, and return its launch plan.
+
+    SceneError names the first rule that the scene breaks.
+    """
+    rules = (
+        *(_contact, _friction, _throat, _force_table, _stops, _rates),
+        *(_start, _supports, _rail, _string, _latch),
+    )
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is refused by name
+            for rule in rules:
+                rule(scene)
+            return plan_launch(scene)
+    except ArithmeticError:
+        raise SceneError(
+            f"{scene.name}: its values differ too much in size to be computed with"
+        ) from None
+
+
+@depends_on("contact")
+def _contact(scene: Scene) -> None:
+    law, restitution = scene.contact.law, scene.contact.restitution
+    is_given = scene.contact.hysteresis_factor is not None
+    if not is_given and law in NEED_POSITIVE_RESTITUTION and restitution <= 0.0:
+        raise refuse("contact.restitution", restitution, "", f"> 0 and <= 1 with the law {law}")
+
+
+@depends_on("friction")
+def _friction(scene: Scene) -> None:
+    mu, mu_s = scene.friction.mu, scene.friction.mu_s
+    if mu_s is not None and mu_s < mu:
+        raise refuse("friction.mu_s", mu_s, "", f">= {mu:g}, friction.mu, or null")
+
+
+@depends_on("cone", "probe", "buffer.rest_length")
+def _throat(scene: Scene) -> None:
+    R_c, R_t, rest_length = scene.cone.R_c, scene.probe.tip_radius, scene.buffer.rest_length
+    if R_c < R_t:
+        why = "the radius of the tip, or the tip can never come to BE"
+        raise refuse("cone.R_c", R_c, "m", f">= {R_t:g}, {why}")
+    if rest_length is not None and rest_length <= R_t:
+        raise refuse("buffer.rest_length", rest_length, "m", f"> {R_t:g}, the radius of the tip")
+
+
+@depends_on("buffer")
+def _force_table(scene: Scene) -> None:
+    buffer, table = scene.buffer, scene.buffer.force_table
+    if table is None:
+        return
+    for name, unit in (("k_A", "N/m"), ("k_A3", "N/m^3"), ("preload", "N")):
+        value = getattr(buffer, name)
+        if value != 0.0:
+            raise refuse(f"buffer.{name}", value, unit, "0 with buffer.force_table")
+    strokes, forces = zip(*table, strict=True)
+    name = "buffer.force_table"
+    if strokes[0] != 0.0:
+        raise refuse(f"{name}[0], stroke", strokes[0], "m", "0, the rest length")
+    for k in range(1, len(table)):
+        low = strokes[k - 1] + MIN_TABLE_SPACING
+        if not strokes[k] >= low:
+            raise refuse(f"{name}[{k}], stroke", strokes[k], "m", f">= {low:.9g}, in rising order")
+    for k, force in enumerate(forces):
+        if force < 0.0:
+            raise refuse(f"{name}[{k}], force", force, "N", ">= 0")
+
+
+@depends_on("stops", "buffer.preload", "buffer.force_table")
+def _stops(scene: Scene) -> None:
+    stops, preload = scene.stops, scene.buffer.seat_force
+    if stops is not None and stops.extension is not None and preload > 0.0:
+        field = "preload" if scene.buffer.force_table is None else "force_table[0], force"
+        why = f"null with buffer.{field} = {preload:g} N, whose seat is the stop outwards"
+        raise refuse("stops.extension", stops.extension, "m", why)
+
+
+@depends_on("run", "sensors")
+def _rates(scene: Scene) -> None:
+    state_rate, sensors = scene.run.state_rate, scene.sensors
+    rates = {"run.rate": scene.run.rate}
+    for name in ("motion_capture", "load_cell"):
+        sensor = getattr(sensors, name, None)
+        if sensor is not None:
+            rates[f"sensors.{name}.rate"] = sensor.rate
+    for name, rate in rates.items():
+        ratio = state_rate / rate
+        if ratio < 1.0 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+            allowed = f"run.state_rate ({state_rate:g} Hz) divided by a whole number"
+            raise refuse(name, rate, "Hz", allowed)
+
+
+@depends_on(*LOADS, "supports")
+def _supports(scene: Scene) -> None:
+    if scene.supports is None:
+        return
+    for vehicle in ("chaser", "target"):
+        balls = [list(ball) for ball in getattr(scene.supports, vehicle).balls]
+        try:
+            load = loads(scene, vehicle).tolist()
+        except np.linalg.LinAlgError:
+            load = [math.nan]
+        allowed = ""
+        if not all(abs(force) <= 1e6 * scene.gravity * 1e3 for force in load):  # NaN is not
+            allowed = "three points that do not lie in one line"
+        elif min(load) < 0.0:
+            allowed = (
+                "a triangle around the centre of mass; with these, ball "
+                f"{load.index(min(load))} would lift off"
+            )
+        if allowed:
+            raise refuse(f"supports.{vehicle}.balls", balls, "m", allowed)
+
+
+@depends_on(*TIP_AT_RELEASE, "initial", "cone", "rail")
+def _rail(scene: Scene) -> None:
+    if scene.rail is None:
+        return
+    chaser, target = scene.initial.chaser, scene.initial.target
+    along = chaser.vx * math.cos(chaser.theta) + chaser.vy * math.sin(chaser.theta)
+    across = chaser.vy * math.cos(chaser.theta) - chaser.vx * math.sin(chaser.theta)
+    if chaser.omega != 0.0:
+        raise refuse("initial.chaser.omega", chaser.omega, "rad/s", "0 on the rail")
+    if abs(across) > 1e-12 * max(1.0, abs(along)) or along < 0.0:
+        raise SceneError(
+            f"initial.chaser.vx, vy = {chaser.vx!r}, {chaser.vy!r} m/s: must be, on the rail, a "
+            "velocity along the chaser's heading, forwards"
+        )
+    for name, unit in (("vx", "m/s"), ("vy", "m/s"), ("omega", "rad/s")):
+        value = getattr(target, name)
+        if value != 0.0:
+            raise refuse(f"initial.target.{name}", value, unit, "0 while the scene has a rail")
+    travel, length = travel_to_touch(scene), scene.rail.length
+    if length >= travel:
+        why = "where the tip meets the cone: the rail must end before the contact"
+        raise refuse("rail.length", length, "m", f"< {travel:.6g}, {why}")
+
+
+@depends_on("string", "rail", "initial")
+def _string(scene: Scene) -> None:
+    string = scene.string
+    if string is None:
+        return
+    if scene.rail is None:
+        raise SceneError("string: must be null without a rail to guide the chaser")
+    names = ("impact_speed", "hanging_mass", "drop_height")
+    given = [name for name in names if getattr(string, name) is not None]
+    if len(given) != 2:
+        raise SceneError(
+            f"string: {', '.join(given) if given else 'nothing'} given: must be exactly two of "
+            "impact_speed (m/s), hanging_mass (kg), drop_height (m); the third is null and follows"
+        )
+    start = math.hypot(scene.initial.chaser.vx, scene.initial.chaser.vy)
+    if start != 0.0:
+        raise SceneError(
+            f"initial.chaser.vx, vy: speed {start!r} m/s: must be 0 with a string: the mass "
+            "starts from rest, and the string would be slack"
+        )
+
+
+@depends_on("cone", "latch")
+def _latch(scene: Scene) -> None:
+    mouth = scene.cone.L_c * math.cos(scene.cone.half_angle)
+    if scene.latch is not None and scene.latch.radius >= mouth:
+        raise refuse("latch.radius", scene.latch.radius, "m", f"< {mouth:.6g}, the cone's depth")
+
+
+@depends_on(*TIP_AT_RELEASE, "cone")
+def _start(scene: Scene) -> None:
+    px, py, _, _ = tip_at_release(scene)
+    cone, initial = scene.cone, scene.initial
+    for side, name in ((1.0, "+y"), (-1.0, "-y")):
+        distance, _, _ = plain(nearest_on_wall)(-(px + cone.L_T), side * py, *cone.wall)
+        gap = distance - scene.probe.tip_radius
+        # a start at contact: the places' own rounding
+        if gap < -1e-15 * max(1.0, abs(initial.chaser.x), abs(initial.target.x)):
+            raise SceneError(
+                f"initial: the tip starts {-gap:.6g} m inside the cone's {name} wall: must be a "
+                "gap >= 0 m; move initial.target.x or initial.chaser.x"
+            )

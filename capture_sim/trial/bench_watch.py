@@ -1,0 +1,288 @@
+"""The launch of a bench without simulator, watched by measured poses alone.
+
+Between two poses 0.1 s apart, noise of 1 mm makes a speed error of 14 mm/s.  So speed and travel
+are those of a straight line fitted to many poses; the scatter of the poses around it gives the
+uncertainty of the speed.
+
+The stamps of the poses are those of the bench's clock, and a busy node evaluates poses late and in
+clumps.  So the moment of the release is known only roughly, and the time to the contact counts from
+the beginning of the motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Collection
+from dataclasses import replace
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.base.compiled.kernels import plain
+from capture_sim.launcher.state_machine import (
+    Launcher,
+    LauncherStatus,
+    LaunchObservation,
+    expected_time,
+)
+from capture_sim.run.touches import unseen_impact
+from capture_sim.scene.geometry import nearest_on_wall, tip_motion
+from capture_sim.scene.launch_plan import travel_to_touch
+from capture_sim.scene.parts import PlanarState, Scene
+
+#: A fit goes over this time, s, and over this many poses at least.
+FIT_WINDOW, MIN_FIT_POSES = 0.3, 12
+#: Time between two fits, s.
+FIT_PERIOD = 0.1
+#: After a longer gap, or a step back of the stamps by more, a fit starts again, s.
+MAX_FIT_GAP = 0.5
+#: Poses before the release that give the start; without them, the first ones after it.
+MAX_START_POSES, MIN_START_POSES = 50, 5
+#: Poses that arrive within this time after the release have waited for the node, s (wall): the
+#: chaser was still at rest, or has moved by less than 0.1 mm.
+SETTLING_TIME = 0.05
+#: Poses that begin later than this after the release do not show where it was, s.
+MAX_START_DELAY = 0.5
+#: A chaser that has travelled this far has begun to move, m.
+MIN_MOTION = 0.01
+#: The tip has met the cone when the median of this many gaps or travels is this close, m, as a
+#: bench's poses are no better.  A fit that goes over the contact shows a speed that is too low.
+N_LATEST, CONTACT_DISTANCE = 5, 0.005
+#: The travel to the cone is predicted until the tip is this close to it, m.
+MIN_PREDICTION_DISTANCE = 0.02
+
+Pose = tuple[float, float, float]  # x, y (m), heading (rad), in the world
+
+
+class TravelEstimate(NamedTuple):
+    """Travel (m) and speed (m/s) at a time (s), and the speed's standard deviation."""
+
+    t: float
+    travel: float
+    speed: float
+    speed_deviation: float
+
+
+class TravelFit:
+    """A straight line through the latest travels of the chaser (least squares)."""
+
+    def __init__(self) -> None:
+        self._points: deque[tuple[float, float]] = deque()
+        self._fitted = -math.inf  # s, the last fit
+
+    def add(self, t: float, travel: float) -> TravelEstimate | None:
+        """Add a measured travel (m) at a stamp (s); return an estimate every :data:`FIT_PERIOD`."""
+        points = self._points
+        if points:
+            last_t, last_travel = points[-1]
+            if not -MAX_FIT_GAP <= t - last_t <= MAX_FIT_GAP:
+                points.clear()
+                self._fitted = -math.inf
+            elif t <= last_t or travel == last_travel:
+                return None  # overtaken, repeated, or frozen by a source that lost its view
+        points.append((t, travel))
+        while len(points) > MIN_FIT_POSES and points[0][0] < t - FIT_WINDOW:
+            points.popleft()
+        if len(points) < MIN_FIT_POSES or t - self._fitted < FIT_PERIOD:
+            return None
+        self._fitted = t
+        times, travels = np.array(points).T
+        middle, mean = times.mean(), travels.mean()
+        times = times - middle
+        square = float(times @ times)
+        speed = float(times @ travels) / square
+        rest = travels - mean - speed * times
+        scatter = math.sqrt(float(rest @ rest) / (len(points) - 2))
+        return TravelEstimate(float(middle), float(mean), speed, scatter / math.sqrt(square))
+
+
+class BenchWatch:
+    """Follows a launch on a bench from its poses; see :class:`Launcher` for its decisions."""
+
+    def __init__(self, launcher: Launcher, scene: Scene) -> None:
+        self._launcher, self._scene = launcher, scene
+        self._at_rest: deque[Pose] = deque(maxlen=MAX_START_POSES)
+        self._stamps: deque[float] = deque(maxlen=MIN_START_POSES)  # s, of the last of these
+        self._start: Pose | None = None
+        self._late_by = 0.0  # s, from the release to the first pose; 0 where poses came before
+        self._target: Pose | None = None
+        self._deflection = (0.0, 0.0)  # of the buffer, m and rad
+        self._zero = math.nan  # s, stamp of the release
+        self._released = math.inf  # s, its arrival
+        self._delay = 0.0  # s, from the release to the beginning of the motion
+        self.has_moved = False  # the chaser is under way
+        self._last = 0.0  # s, the latest pose,
+        self._last_arrival = math.nan
+        self._observed = 0.0  # ... and when the launch was last evaluated
+        self._fit = TravelFit()
+        self._fit_end = -math.inf  # m, the travel up to which the speed is measured
+        self._travels: deque[float] = deque(maxlen=N_LATEST)
+        self._gaps: deque[float] = deque(maxlen=N_LATEST)
+        self._furthest = 0.0  # m, largest median of the travels
+        self._contact_travel = launcher.plan.travel
+        self._has_touched = False
+
+    @property
+    def gap(self) -> float:
+        """From the tip to the cone by the latest poses, m; NaN while it is not known."""
+        return self._gaps[-1] if self._gaps else math.nan
+
+    def release(self, arrival: float) -> None:
+        """Note that the chaser was let go; ``arrival``: s by the clock of :meth:`add_chaser`."""
+        self._released = arrival
+
+    def add_target(self, pose: Pose) -> None:
+        """Note the target's latest pose; one that is not finite is left out."""
+        if all(map(math.isfinite, pose)):
+            self._target = pose
+
+    def add_buffer(self, stroke: float, torsion: float) -> None:
+        """Note the buffer's latest stroke (m) and torsion (rad), if they are finite."""
+        if math.isfinite(stroke) and math.isfinite(torsion):
+            self._deflection = (stroke, torsion)
+
+    def note_contact(self) -> None:
+        """Note that the tip has met the cone, or may have, though no pose shows it."""
+        self._has_touched = True
+
+    def may_have_touched(self, silence: float) -> bool:
+        """Return True if the tip can have met the cone, the last ``silence`` (s) without poses."""
+        return self._has_touched or self._reaches(silence)
+
+    def add_chaser(self, stamp: float, pose: Pose, arrival: float) -> LauncherStatus | None:
+        """Add the chaser's pose; return the launcher's status if it was evaluated.
+
+        ``stamp``: s by the bench's clock; ``arrival``: s by any steady clock.  A ``pose`` that is
+        not finite is left out.
+        """
+        if not all(map(math.isfinite, pose)):
+            return None
+        if self._target is not None:
+            self._gaps.append(gap_to_cone(self._scene, pose, self._target, self._deflection))
+        if self._start is None:
+            self._find_start(stamp, pose, arrival)
+        if self._start is None:
+            self._last_arrival = arrival
+            return None
+        x, y, heading = self._start
+        t = stamp - self._zero
+        travel = (pose[0] - x) * math.cos(heading) + (pose[1] - y) * math.sin(heading)
+        estimate = self._fit.add(t, travel)
+        if estimate is not None:
+            self._predict_contact(pose, travel)
+        # a wild stamp, or a node that was busy, shows no gap
+        silence = max(0.0, min(t - self._last, arrival - self._last_arrival))
+        self._note_travel(travel, silence)
+        follows = 0.0 <= t - self._last <= MAX_FIT_GAP
+        self._last, self._last_arrival = t, arrival
+        is_overdue = follows and t - self._observed >= MAX_FIT_GAP
+        is_delivered = self._has_touched and self._launcher.is_under_way
+        if estimate is None and not is_overdue and not is_delivered:
+            return None
+        self._observed = t
+        return self._observe(estimate, t, travel)
+
+    def _find_start(self, stamp: float, pose: Pose, arrival: float) -> None:
+        """Collect poses of the start; the first one after the release ends that."""
+        if len(self._stamps) == MIN_START_POSES and arrival > self._released + SETTLING_TIME:
+            self._start = _median(self._at_rest)
+            self._zero = median(self._stamps) - self._late_by
+            return
+        self._at_rest.append(pose)
+        self._stamps.append(stamp)
+        if arrival > self._released + MAX_START_DELAY:
+            self._late_by = self._late_by or arrival - self._released
+
+    def _note_travel(self, travel: float, silence: float) -> None:
+        """Note whether the tip has met the cone by now, or in the time without poses before, s."""
+        self._has_touched = self._has_touched or self._reaches(silence)
+        self._travels.append(travel)
+        if len(self._travels) == N_LATEST:
+            self._furthest = max(self._furthest, median(self._travels))
+        is_at_cone = len(self._gaps) == N_LATEST and median(self._gaps) <= CONTACT_DISTANCE
+        self._has_touched = self._has_touched or is_at_cone or self._reaches(0.0)
+
+    def _reaches(self, silence: float) -> bool:
+        """Return True if the furthest travel, continued for a time, s, reaches the cone."""
+        speed = max(self._launcher.status.measured_speed, 0.0)
+        if silence > FIT_PERIOD:  # the mass may have accelerated the chaser meanwhile
+            speed = max(speed, self._launcher.plan.landing_speed)
+        return self._furthest + speed * silence > self._contact_travel - CONTACT_DISTANCE
+
+    def _observe(self, estimate: TravelEstimate | None, t: float, travel: float) -> LauncherStatus:
+        """Let the launcher evaluate an estimate; without one, the time and the contact."""
+        launcher, is_late = self._launcher, self._late_by > 0.0
+        plan = launcher.plan
+        if estimate is None:
+            # a chaser at rest gives no estimates, nor does a source that has lost its view
+            speed, speed_deviation = launcher.status.measured_speed, 0.0
+            t, is_slack, fitted = t - self._delay, False, math.nan
+        else:
+            if estimate.travel > MIN_MOTION and not self.has_moved:
+                self.has_moved = True
+                self._delay = max(0.0, estimate.t - expected_time(plan, estimate.travel))
+            t, is_slack = estimate.t - self._delay, estimate.t - self._delay > plan.landing_time
+            speed, speed_deviation = estimate.speed, estimate.speed_deviation
+            fitted = math.nan if is_late else estimate.travel
+        if is_late and self._late_by > (1.0 - launcher.tolerance) * plan.contact_time:
+            t = math.nan  # what happened before is not known
+        unseen = self._unseen() if self._has_touched else ""
+        if estimate is not None:
+            self._fit_end = max(self._fit_end, travel)
+        return launcher.observe(
+            LaunchObservation(
+                t, speed, fitted, is_slack, self._has_touched, speed_deviation, unseen
+            )
+        )
+
+    def _unseen(self) -> str:
+        """Return why the impact speed is unknown; empty if poses cover the approach."""
+        if self._late_by > 0.0 and not math.isfinite(self._fit_end):
+            return f"impact speed not measured: poses begin {self._late_by:.3g} s after the release"
+        return unseen_impact(self._contact_travel - CONTACT_DISTANCE - self._fit_end)
+
+    def _predict_contact(self, pose: Pose, travel: float) -> None:
+        """Update the travel at which the tip meets the cone; infinite if it will miss it."""
+        if self._target is None or travel > self._contact_travel - MIN_PREDICTION_DISTANCE:
+            return
+        initial = self._scene.initial
+        measured = replace(
+            initial, chaser=_at(initial.chaser, pose), target=_at(initial.target, self._target)
+        )
+        self._contact_travel = travel + travel_to_touch(replace(self._scene, initial=measured))
+
+
+def gap_to_cone(
+    scene: Scene, chaser: Pose, target: Pose, deflection: tuple[float, float] = (0.0, 0.0)
+) -> float:
+    """Return the gap from the tip to the cone's walls, m; at most 0 in contact and in the throat.
+
+    ``deflection``: stroke (m) and torsion (rad) of the buffer.
+    """
+    stroke, torsion = deflection
+    theta, phi, theta_T = chaser[2], chaser[2] + torsion, target[2]
+    q = (*chaser, phi, scene.rest_length + stroke, *target)
+    sines = (math.sin(theta), math.cos(theta), math.sin(phi), math.cos(phi))
+    px, py, _, _ = plain(tip_motion)(
+        (*q, *8 * (0.0,)), scene.buffer.hinge_offset, *sines, math.sin(theta_T), math.cos(theta_T)
+    )
+    ahead_of_BE = -(px + scene.cone.L_T)
+    gap = min(
+        plain(nearest_on_wall)(ahead_of_BE, side * py, *scene.cone.wall)[0] for side in (1.0, -1.0)
+    )
+    gap -= scene.probe.tip_radius
+    return min(gap, 0.0) if ahead_of_BE <= 0.0 and abs(py) <= scene.cone.R_c else gap
+
+
+def _median(poses: Collection[Pose]) -> Pose:
+    """Return the pose of a vehicle at rest: the median of each coordinate."""
+    x, y, heading = zip(*poses, strict=True)
+    turned = median(math.remainder(each - heading[0], 2.0 * math.pi) for each in heading)
+    return median(x), median(y), heading[0] + turned
+
+
+def _at(state: PlanarState, pose: Pose) -> PlanarState:
+    x, y, theta = pose
+    return replace(state, x=x, y=y, theta=math.remainder(theta, 2.0 * math.pi))

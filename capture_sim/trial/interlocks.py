@@ -1,0 +1,237 @@
+"""Interlocks: the age of the measurements that a trial relies on, and its limits.
+
+:class:`Interlocks` sees each pose and buffer state, and nothing is let go around it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from capture_sim.detection.measurements import Source
+from capture_sim.scene.quantities import Range, quantity
+from capture_sim.trial.hold import HoldReaders
+
+#: A stamp that is older than the one before by more is that of a clock that was set back, s.
+MAX_STEP_BACK = 0.5
+#: So many of these within so many s are the stamps of two publishers.
+MIN_STEPS_BACK, STEP_WINDOW = 3, 1.0
+
+
+@dataclass(frozen=True)
+class TrialLimits:
+    """Limits of a trial; each is a parameter of the launcher."""
+
+    max_pose_age: float = quantity(
+        "s",
+        Range(0.02, 10.0),
+        default=0.3,
+        doc="time without a new pose of a vehicle: nothing is released, an approach is aborted",
+    )
+    max_buffer_age: float = quantity(
+        "s",
+        Range(0.0, 10.0),
+        default=0.3,
+        doc="time without a new buffer state: nothing is released; 0.0: no buffer is needed",
+    )
+    max_hold_silence: float = quantity(  # drivers hold after 0.5 s
+        "s",
+        Range(0.15, 10.0),
+        default=0.4,
+        doc="wall time without launcher/hold, as of a stalled computer: an approach is aborted",
+    )
+    start_timeout: float = quantity(
+        "s",
+        Range(0.0, 3600.0),
+        default=10.0,
+        doc="wall time, wait for fresh measurements and for the other nodes before a release",
+    )
+    time_limit: float = quantity(
+        "s",
+        Range(1.0, 86400.0),
+        default=60.0,
+        doc="wall time from the release to the end of a trial without verdict",
+    )
+    after_verdict: float = quantity(
+        "s",
+        Range(0.0, 3600.0),
+        default=1.0,
+        doc="wall time from the verdict to the end of the trial",
+    )
+    closing_timeout: float = quantity(
+        "s",
+        Range(0.1, 600.0),
+        default=10.0,
+        doc="wall time, wait for verdict and recording after the end of a trial",
+    )
+
+
+class SourceMonitor:
+    """Follows the messages of one topic.
+
+    A message with a number that is not finite, or with a stamp that does not advance, holds no new
+    measurement: a driver has lost its view, and repeats.
+    """
+
+    def __init__(self) -> None:
+        self.n_messages = 0
+        self._stamp: int | None = None  # ns
+        self._values: tuple[float, ...] = ()
+        self._last_new = -math.inf  # s, arrival of the last new measurement,
+        self._last_change = -math.inf  # ... and of the last with other values
+        self._steps_back: deque[float] = deque(maxlen=MIN_STEPS_BACK)  # arrivals, s
+
+    def add(self, stamp: int, values: tuple[float, ...], arrival: float) -> bool:
+        """Note a message: its stamp, ns by any clock, and its arrival, s by a steady one.
+
+        Return whether it holds a new measurement.
+        """
+        self.n_messages += 1
+        advance = math.inf if self._stamp is None else (stamp - self._stamp) * 1e-9
+        if not all(map(math.isfinite, values)) or -MAX_STEP_BACK <= advance <= 0.0:
+            return False
+        if advance < 0.0:
+            self._steps_back.append(arrival)
+        self._stamp, self._last_new = stamp, arrival
+        if values != self._values:
+            self._values, self._last_change = values, arrival
+        return True
+
+    def age(self, now: float) -> float:
+        """Return the time since the last new measurement, s; ``inf`` if there was none."""
+        return now - self._last_new
+
+    def has_two_clocks(self, now: float) -> bool:
+        """Return True if the stamps jump to and fro, as from two publishers."""
+        steps = self._steps_back
+        return len(steps) == MIN_STEPS_BACK and steps[0] > now - STEP_WINDOW
+
+    def unchanged(self, now: float) -> float:
+        """Return the time since the last measurement with other values, s."""
+        return now - self._last_change
+
+
+class Interlocks:
+    """Sees each measurement; returns why nothing may be let go, or why the approach must end.
+
+    ``topics``: by source, the names of the topics that it may publish.  :meth:`choose` decides
+    which of them a trial uses; the others then do not count.  ``readers``: those of launcher/hold.
+    """
+
+    def __init__(
+        self,
+        limits: TrialLimits,
+        topics: Mapping[Source, Sequence[str]],
+        readers: HoldReaders | None = None,
+    ) -> None:
+        self.limits = limits
+        self.readers = readers or HoldReaders()
+        self.monitors = {name: SourceMonitor() for names in topics.values() for name in names}
+        self._topics = {source: tuple(names) for source, names in topics.items()}
+        self._chosen: dict[Source, str] = {}
+        self._publishers: dict[str, tuple[str, ...]] | None = None  # nodes, by topic
+        self._mismatches: dict[str, str] = {}
+
+    def add(self, topic: str, stamp: int, values: tuple[float, ...], arrival: float) -> None:
+        """Note a measurement, see :meth:`SourceMonitor.add`."""
+        self.monitors[topic].add(stamp, values, arrival)
+
+    def note_publishers(
+        self, nodes: Mapping[str, Sequence[str]], mismatches: Mapping[str, str]
+    ) -> None:
+        """Note which nodes publish each topic, and of which topics no message can come, and why."""
+        self._publishers = {topic: tuple(names) for topic, names in nodes.items()}
+        self._mismatches = dict(mismatches)
+
+    def begin(self) -> None:
+        """Choose the topics again at the start of a trial."""
+        self._chosen.clear()
+
+    def choose(self, source: Source, topic: str) -> bool:
+        """Return True if the trial uses this topic of a source: the first that is asked for."""
+        return self._chosen.setdefault(source, topic) == topic
+
+    def refusal(self, now: float) -> str:
+        """Return why the chaser must not be let go; empty if it is seen and its driver is there."""
+        stale = [
+            self._stale_text(source, now, limit)
+            for source, limit in self._limited()
+            if not self._age(source, now) <= limit
+        ]
+        conflicts = [text for source, _ in self._limited() if (text := self._conflict(source))]
+        return "; ".join(filter(None, [*stale, *conflicts, self.readers.refusal(now)]))
+
+    def blindness(self, now: float, *, has_moved: bool) -> tuple[str, float]:
+        """Return why the approach must end, empty if it goes on, and for how long it is not seen.
+
+        The time is in s.  ``has_moved``: the chaser is under way, so that a pose that repeats
+        exactly is one of a driver that has lost its view.
+        """
+        limit, age = self.limits.max_pose_age, self._age(Source.CHASER, now)
+        if not age <= limit:
+            return self._stale_text(Source.CHASER, now, limit), age
+        topic = self._best(Source.CHASER)
+        unchanged = self.monitors[topic].unchanged(now)
+        if has_moved and unchanged > limit:
+            text = f"{topic}: the same pose for {unchanged:.3g} s: must be at most {limit:g}"
+            return text, unchanged
+        if not self._age(Source.TARGET, now) <= limit:
+            return self._stale_text(Source.TARGET, now, limit), 0.0
+        mixed = [
+            f"{name}: stamps of two clocks: two nodes publish it"
+            for name in (topic, self._best(Source.TARGET))
+            if self.monitors[name].has_two_clocks(now)
+        ]
+        return "; ".join(mixed) or self.readers.absence(), 0.0
+
+    def _limited(self) -> list[tuple[Source, float]]:
+        limits = self.limits
+        needed = {
+            Source.CHASER: limits.max_pose_age,
+            Source.TARGET: limits.max_pose_age,
+            Source.BUFFER: limits.max_buffer_age,
+        }
+        return [(source, limit) for source, limit in needed.items() if limit > 0.0]
+
+    def _best(self, source: Source) -> str:
+        """Return the topic of a source that is used, or the one with the latest measurement."""
+        names = self._topics[source]
+        return self._chosen.get(source) or min(names, key=lambda name: self.monitors[name].age(0.0))
+
+    def _age(self, source: Source, now: float) -> float:
+        return self.monitors[self._best(source)].age(now)
+
+    def _conflict(self, source: Source) -> str:
+        """Return the complaint that several nodes publish one sensor's topics; empty if one does.
+
+        One of them is a simulator or a player that somebody has started: which one is used would
+        be chance.
+        """
+        publishers, topics = self._publishers or {}, self._topics[source]
+        nodes = sorted({node for topic in topics for node in publishers.get(topic, ())})
+        if len(nodes) <= 1:
+            return ""
+        names = " and ".join(topic for topic in topics if publishers.get(topic))
+        return (
+            f"{names}: published by {' and '.join(nodes)}: must be one node for the {source.value}"
+        )
+
+    def _stale_text(self, source: Source, now: float, limit: float) -> str:
+        """Name the topic, its age, and the fault of its publishers."""
+        topics = self._topics[source]
+        best = self._best(source)
+        age = self.monitors[best].age(now)
+        if math.isfinite(age):
+            topics = (best,)
+            text = f"{best}: last measurement {age:.3g} s old: must be at most {limit:g}"
+        elif heard := [name for name in topics if self.monitors[name].n_messages]:
+            topics = tuple(heard)
+            text = f"{' and '.join(topics)}: no finite measurement"
+        else:
+            text = f"{' or '.join(topics)}: no measurement"
+        if self._publishers is not None and not any(self._publishers.get(t) for t in topics):
+            text += ", no publisher"
+        mismatches = [f"{t}: {self._mismatches[t]}" for t in topics if t in self._mismatches]
+        return f"{text} ({'; '.join(mismatches)})" if mismatches else text

@@ -1,0 +1,390 @@
+"""A trial of a real bench as a state machine, without ROS.
+
+PREPARING -> APPROACH -> CONTACT -> DECIDED -> CLOSING -> OVER; every phase may go on to CLOSING.
+The chaser is held except from the release to CLOSING.  :class:`Trial` sees each measurement and a
+steady clock; :meth:`Trial.advance` alone decides, and returns the steps that its caller has to do.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+
+from capture_sim.detection.measurements import Source
+from capture_sim.dynamics.samples import Named
+from capture_sim.errors import CaptureSimError
+from capture_sim.launcher.state_machine import Launcher, LauncherPhase, LauncherStatus
+from capture_sim.scene.parts import Scene
+from capture_sim.trial.bench_watch import BenchWatch, Pose
+from capture_sim.trial.hold import HOLD_TIMEOUT
+from capture_sim.trial.interlocks import Interlocks
+
+#: Verdicts that may be expected, as the detector names them.
+VERDICTS = ("captured", "rebound", "missed", "stuck", "undecided")
+#: Characters of a name and of a note.
+MAX_NAME, MAX_NOTE = 200, 2000
+#: State of the detector from which on the chaser is at the cone.
+_CONTACT = "contact"
+#: A status of the detector has the stamp of a pose, but for such an error, s.
+MAX_STAMP_ERROR = 1.0
+#: Reason of a trial that the client has cancelled.
+CANCELLED = "cancelled"
+
+
+class TrialPhase(Named):
+    """Phase of a trial, as in action/RunTrial.action."""
+
+    PREPARING = 0
+    APPROACH = 1
+    CONTACT = 2
+    DECIDED = 3
+    CLOSING = 4
+    OVER = 5
+
+
+class TrialStep(Enum):
+    """What the caller of :meth:`Trial.advance` has to do."""
+
+    ANNOUNCE = "announce"  # to the other nodes, which then join
+    RELEASE = "release"
+    ABORT = "abort"
+    CLOSE = "close"  # report to the other nodes that the trial has ended
+
+
+@dataclass(frozen=True)
+class TrialGoal:
+    """What an operator asks for; fields as in action/RunTrial.action."""
+
+    name: str
+    note: str = ""
+    expected: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the texts; CaptureSimError names the field that is wrong."""
+        for name, text, longest in (
+            ("name", self.name, MAX_NAME),
+            ("note", self.note, MAX_NOTE),
+        ):
+            if not text.isprintable() or len(text) > longest:
+                raise CaptureSimError(f"{name}: must be at most {longest} printable characters")
+        if self.expected not in ("", *VERDICTS):
+            raise CaptureSimError(
+                f"expected = {self.expected[:50]!r}: must be empty or one of {', '.join(VERDICTS)}"
+            )
+
+
+@dataclass
+class MeasuredLoads:
+    """Loads since the release, as measured; NaN where nothing measured them."""
+
+    max_force: float = math.nan  # N, change of the load cell's force since before the release
+    max_stroke: float = math.nan  # m, largest compression
+    max_torsion: float = math.nan  # rad
+    _rest_sum: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    _rest_count: int = 0
+
+    def add_force(self, force: tuple[float, float, float], *, is_released: bool) -> None:
+        """Note a force, N; the mean force before the release is the sensor's offset."""
+        if not all(map(math.isfinite, force)):
+            return
+        if not is_released:
+            self._rest_sum = [a + b for a, b in zip(self._rest_sum, force, strict=True)]
+            self._rest_count += 1
+            return
+        offset = [total / max(self._rest_count, 1) for total in self._rest_sum]
+        self.max_force = _larger(self.max_force, math.dist(force, offset))
+
+    def add_buffer(self, stroke: float, torsion: float) -> None:
+        """Note a stroke, m, and a torsion, rad, after the release."""
+        self.max_stroke = _larger(self.max_stroke, -stroke)
+        self.max_torsion = _larger(self.max_torsion, abs(torsion))
+
+
+class Trial:
+    """One trial, from the goal to its result.
+
+    ``has_actuator``: the chaser is let go by this trial; else by hand, at any time, and nothing is
+    aborted but by the client.  ``needs_client``: it is let go only after
+    :meth:`note_result_request`.  ``now``: s by a steady clock, as all times of arrival.
+    """
+
+    def __init__(
+        self,
+        goal: TrialGoal,
+        scene: Scene,
+        launcher: Launcher,
+        interlocks: Interlocks,
+        *,
+        has_actuator: bool,
+        now: float,
+        needs_client: bool = False,
+    ) -> None:
+        self.goal, self.scene, self.launcher = goal, scene, launcher
+        self.loads = MeasuredLoads()
+        #: The detector's state: its label, and why it is in it.
+        self.verdict, self.verdict_reason = "", ""
+        #: Why the trial was refused or aborted; empty if it was neither.
+        self.failure = ""
+        #: What the recording lacks.
+        self.problems: list[str] = []
+        self.is_released = False
+        self.released = math.nan  # s, when
+        self._interlocks, self._limits = interlocks, interlocks.limits
+        interlocks.begin()
+        self._has_actuator = has_actuator
+        self.set_launch(launcher.tolerance, aborts=launcher.aborts)
+        self._lacks_client = needs_client
+        self._silent = -math.inf  # s, when a silence of launcher/hold was last noted,
+        self._silence = ""  # ... and one after the release
+        self._watch = BenchWatch(launcher, scene)
+        self._phase = TrialPhase.PREPARING
+        self._phase_since = now
+        self._is_announced = self._are_others_ready = self._are_others_done = False
+        self._pending = ""  # which other nodes are waited for
+        self._is_final = False
+        self._cancelled = ""
+        self._stamps = (math.inf, -math.inf)  # s, first and latest pose of the chaser
+        self._statuses: list[tuple[int, LauncherStatus]] = []
+
+    @property
+    def phase(self) -> TrialPhase:
+        """The present phase."""
+        return self._phase
+
+    @property
+    def holds(self) -> bool:
+        """True unless the chaser is let go by this trial."""
+        is_running = TrialPhase.PREPARING < self._phase < TrialPhase.CLOSING
+        return not (self._has_actuator and is_running and not self._silence)
+
+    @property
+    def gap(self) -> float:
+        """From the tip to the cone, as measured, m; NaN while it is not known."""
+        return self._watch.gap
+
+    @property
+    def outcome(self) -> tuple[str, str]:
+        """The verdict, empty if nothing was released, and why."""
+        if not self.is_released:
+            return "", self.failure
+        if self.verdict in VERDICTS:
+            return self.verdict, self.failure or self.verdict_reason
+        limit = self._limits.time_limit
+        return "undecided", self.failure or f"no verdict {limit:g} s after the release"
+
+    @property
+    def impact_speed(self) -> float:
+        """Speed of the chaser at the first contact, m/s; NaN if not measured."""
+        status = self.launcher.status
+        is_delivered = status.state is LauncherPhase.DELIVERED
+        return status.measured_speed if is_delivered else math.nan
+
+    @property
+    def deviation(self) -> str:
+        """How the launch differs from its plan; empty before it has begun."""
+        return self.launcher.deviation if self._is_launched else ""
+
+    @property
+    def was_aborted(self) -> bool:
+        """True if the chaser was let go and then held because of a failure or a cancel."""
+        return bool(self.failure) and self.is_released
+
+    def waiting_for(self, now: float) -> str:
+        """Return why the present phase lasts; empty if that is the bench itself."""
+        if self._phase is TrialPhase.PREPARING:
+            return self._refusal(now) or self._pending
+        return self._pending if self._phase is TrialPhase.CLOSING else ""
+
+    @property
+    def _is_launched(self) -> bool:
+        """True once the chaser is let go; by hand, once it moves."""
+        return self.is_released and (self._has_actuator or self._watch.has_moved)
+
+    # what is measured
+
+    def add_pose(self, source: Source, topic: str, stamp: int, pose: Pose, now: float) -> None:
+        """Add a pose of a vehicle: x, y (m), heading (rad); the stamp in ns by the bench's clock.
+
+        Of each vehicle the first topic that comes in a trial is used.
+        """
+        if not self._interlocks.choose(source, topic):
+            return
+        if source is Source.TARGET:
+            self._watch.add_target(pose)
+            return
+        seconds = stamp * 1e-9
+        self._stamps = min(self._stamps[0], seconds), max(self._stamps[1], seconds)
+        status = self._watch.add_chaser(seconds, pose, now)
+        if status is not None:
+            self._statuses.append((stamp, status))
+
+    def take_statuses(self) -> list[tuple[int, LauncherStatus]]:
+        """Return the launcher's statuses since the last call, each with a stamp, ns."""
+        statuses, self._statuses = self._statuses, []
+        return statuses
+
+    def add_buffer(self, topic: str, stroke: float, torsion: float) -> None:
+        """Add a stroke, m, and a torsion, rad, of the buffer."""
+        if not self._interlocks.choose(Source.BUFFER, topic):
+            return
+        self._watch.add_buffer(stroke, torsion)
+        if self._is_launched and math.isfinite(stroke) and math.isfinite(torsion):
+            self.loads.add_buffer(stroke, torsion)
+
+    def add_force(self, x: float, y: float, z: float) -> None:
+        """Add a force of the load cell, N."""
+        self.loads.add_force((x, y, z), is_released=self._is_launched)
+
+    # what the other nodes report
+
+    def add_verdict(
+        self, state: str, reason: str, *, is_final: bool, stamp: int | None = None
+    ) -> None:
+        """Note the detector's state: one of :data:`VERDICTS`, or a label before it.
+
+        One of another detector or of a player has the ``stamp`` (ns) of no pose of this trial, and
+        is ignored.
+        """
+        first, latest = self._stamps
+        if (
+            stamp is not None
+            and not first - MAX_STAMP_ERROR <= stamp * 1e-9 <= latest + MAX_STAMP_ERROR
+        ):
+            return
+        if self._is_final and not is_final:
+            return
+        self.verdict, self.verdict_reason, self._is_final = state, reason, is_final
+
+    def set_others(self, *, ready: bool, done: bool, pending: str) -> None:
+        """Note whether the other nodes have joined, and have ended the trial; else which not."""
+        self._are_others_ready, self._are_others_done = ready, done
+        self._pending = pending
+
+    def note_result_request(self) -> None:
+        """Note that the client has asked for the result: it knows that its goal was accepted."""
+        self._lacks_client = False
+
+    def note_silence(self, silence: float, now: float) -> None:
+        """Note for how long launcher/hold was not sent, s.
+
+        Beyond ``max_hold_silence`` the driver may have held: the chaser is then not let go again.
+        """
+        limit = self._limits.max_hold_silence
+        if silence <= limit:
+            return
+        self._silent = now
+        if not self.holds:
+            self._silence = f"launcher/hold: silent for {silence:.3g} s: must be at most {limit:g}"
+
+    def set_launch(self, tolerance: float, *, aborts: bool) -> None:
+        """Use other settings of the launch, see :class:`Launcher`; by hand none aborts."""
+        self.launcher.tolerance = tolerance
+        self.launcher.aborts = aborts and self._has_actuator
+
+    def cancel(self, reason: str = CANCELLED) -> None:
+        """End the trial and hold the chaser, at the next :meth:`advance`."""
+        self._cancelled = self._cancelled or reason
+
+    # decisions
+
+    def advance(self, now: float) -> list[TrialStep]:
+        """Decide at ``now``, s; return the actions for the caller, in order."""
+        steps: list[TrialStep] = []
+        while True:
+            before = self._phase, self._is_announced
+            steps += self._advance_once(now)
+            if (self._phase, self._is_announced) == before:
+                return steps
+
+    def _advance_once(self, now: float) -> list[TrialStep]:
+        in_phase = now - self._phase_since
+        if self._cancelled and self._phase < TrialPhase.CLOSING:
+            return self._fail(self._cancelled, now)
+        match self._phase:
+            case TrialPhase.PREPARING:
+                return self._prepare(now, in_phase)
+            case TrialPhase.APPROACH | TrialPhase.CONTACT:
+                return self._follow(now)
+            case TrialPhase.DECIDED if in_phase >= self._limits.after_verdict:
+                return self._close(now)
+            case TrialPhase.CLOSING:
+                self._await_others(now, in_phase)
+        return []
+
+    def _prepare(self, now: float, in_phase: float) -> list[TrialStep]:
+        """Announce the trial once all is fresh; release once the other nodes have joined."""
+        refusal = self._refusal(now)
+        if refusal or (self._is_announced and not self._are_others_ready):
+            if in_phase > self._limits.start_timeout:
+                waited = f"after {self._limits.start_timeout:g} s: "
+                return self._fail(f"not released {waited}{refusal or self._pending}", now)
+            return []
+        if not self._is_announced:
+            self._is_announced = True
+            return [TrialStep.ANNOUNCE]
+        self._enter(TrialPhase.APPROACH, now)
+        self.is_released, self.released = True, now
+        self.launcher.release()
+        self._watch.release(now)
+        return [TrialStep.RELEASE] if self._has_actuator else []
+
+    def _refusal(self, now: float) -> str:
+        """Return why the chaser must not be let go; empty if it may."""
+        if not self._has_actuator:  # by hand it goes when it goes: nothing is to be refused
+            return ""
+        reasons = [self._interlocks.refusal(now)]
+        if self._lacks_client:
+            reasons.append("client: has not asked for the result, it may not know of its goal")
+        if now < self._silent + HOLD_TIMEOUT:
+            reasons.append(f"launcher/hold: was silent less than {HOLD_TIMEOUT:g} s ago")
+        return "; ".join(filter(None, reasons))
+
+    def _follow(self, now: float) -> list[TrialStep]:
+        """Follow the chaser to the verdict; abort an approach that is blind or not as planned."""
+        if self._is_final and self.verdict in VERDICTS:
+            self._enter(TrialPhase.DECIDED, now)
+            return []
+        if self._phase is TrialPhase.APPROACH:
+            reason, silence = "", 0.0
+            if self._has_actuator:
+                reason, silence = self._interlocks.blindness(now, has_moved=self._watch.has_moved)
+            is_at_cone = self.launcher.status.state is LauncherPhase.DELIVERED
+            may_touch = reason and self._watch.may_have_touched(silence)
+            if is_at_cone or may_touch or self.verdict == _CONTACT:
+                self._watch.note_contact()
+                self._enter(TrialPhase.CONTACT, now)
+            elif self.launcher.status.state is LauncherPhase.ABORTED:
+                return self._fail(self.launcher.status.reason, now)
+            elif reason or self._silence:
+                return self._fail(reason or self._silence, now)
+        if now - self.released > self._limits.time_limit:
+            return self._close(now)
+        return []
+
+    def _await_others(self, now: float, in_phase: float) -> None:
+        if self._are_others_done or not self._is_announced:
+            self._enter(TrialPhase.OVER, now)
+        elif in_phase > self._limits.closing_timeout:
+            self.problems.append(f"after {self._limits.closing_timeout:g} s: {self._pending}")
+            self._enter(TrialPhase.OVER, now)
+
+    def _fail(self, reason: str, now: float) -> list[TrialStep]:
+        """Hold the chaser and end the trial for a reason."""
+        self.failure = reason
+        self.launcher.abort(reason)
+        return [TrialStep.ABORT, *self._close(now)] if self._is_announced else self._close(now)
+
+    def _close(self, now: float) -> list[TrialStep]:
+        self._enter(TrialPhase.CLOSING, now)
+        self._pending = "report of the other nodes"
+        self._are_others_done = False
+        return [TrialStep.CLOSE] if self._is_announced else []
+
+    def _enter(self, phase: TrialPhase, now: float) -> None:
+        self._phase, self._phase_since = phase, now
+
+
+def _larger(known: float, value: float) -> float:
+    """Return the larger of two numbers, the first of which may be NaN."""
+    return value if math.isnan(known) else max(known, value)
