@@ -4,14 +4,16 @@
 
 Plain participants, a process each, forked; every one publishes a number each 0.25 s on a volatile
 and a transient-local topic, reliable and KEEP_ALL, and reads all others'.  Each is stopped
-once, one after another 0.4 s apart; then half of them at once.  After each the pairs of reader and
-writer are listed of which the reader hears nothing: a half match, if it still stands after 30 s.
-With a lease of 6 s and stops of 7 s Fast DDS 2.14 leaves some; record them with tcpdump on lo.
+once, one after another 0.4 s apart; then half of them at once.  After each, the pairs of reader and
+writer are listed of which the reader hears nothing 30 s after the last stop, and whether each
+knows the other: in a half match only one does.  docs/node_suite.md shows its packets and how to
+record them.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import random
@@ -19,15 +21,19 @@ import signal
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
 PERIOD = 0.25  # s, between two messages of a participant
 INTERVAL = 0.4  # s, between the stops of two participants
+KINDS = "VOLATILE", "TRANSIENT_LOCAL"
 AGE = 3.0  # s without a message, after which a writer is not heard
 LIMIT = 30.0  # s, in which all must hear all again
+SHOWN = 20  # pairs that are printed
 
 
 def take_part(number: int, folder: Path) -> None:
-    """Publish and read for ever; write who was heard when to a file."""
+    """Publish and read for ever; write to a file who was heard when, and which GIDs are known."""
     import rclpy
     from rclpy.experimental import EventsExecutor
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
@@ -54,34 +60,74 @@ def take_part(number: int, folder: Path) -> None:
             due = time.monotonic() + PERIOD
             for sender in senders:
                 sender.publish(Int32(data=number))
+            writers = node.get_publishers_info_by_topic("heard/volatile")
+            readers = node.get_subscriptions_info_by_topic("heard/volatile")
+            state = {
+                "heard": heard,
+                "own": [process(i) for i in writers if i.node_name == node.get_name()],
+                "writers": [process(info) for info in writers],
+                "readers": [process(info) for info in readers],
+            }
             file = folder / f"{number}.new"
-            file.write_text(json.dumps(heard), encoding="utf-8")
+            file.write_text(json.dumps(state), encoding="utf-8")
             file.rename(folder / f"{number}.json")
 
 
+def process(info: Any) -> str:
+    """Return the part of an endpoint's GID that all endpoints of a DDS participant have."""
+    return bytes(info.endpoint_gid[:12]).hex()
+
+
 def unheard(folder: Path, nodes: int) -> list[str]:
-    """Return the reader, the writer and the kind of topic for each pair that is not heard."""
+    """Return each pair of writer and reader of which the reader hears nothing, and who is known."""
+    files = [folder / f"{number}.json" for number in range(nodes)]
+    empty: dict[str, Any] = {"heard": {}, "own": [], "writers": [], "readers": []}
+    states = [json.loads(f.read_text(encoding="utf-8")) if f.exists() else empty for f in files]
     missing = []
-    for reader in range(nodes):
-        file = folder / f"{reader}.json"
-        heard = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-        for writer in range(nodes):
-            for kind in "VOLATILE", "TRANSIENT_LOCAL":
-                if time.time() - heard.get(f"{writer} {kind}", 0.0) > AGE:
-                    missing.append(f"{reader} from {writer} ({kind})")
+    for reader, writer in itertools.product(range(nodes), repeat=2):
+        there, here = states[writer], states[reader]
+        ages = {kind: time.time() - here["heard"].get(f"{writer} {kind}", 0.0) for kind in KINDS}
+        silent = [kind for kind in KINDS if ages[kind] > AGE]
+        if silent:
+            topics = "" if len(silent) == len(KINDS) else f" ({silent[0]})"
+            knows = set(there["own"]) & set(here["writers"])
+            known = set(here["own"]) & set(there["readers"])
+            half = "half match: " if bool(knows) != bool(known) else ""
+            missing.append(
+                f"{half}{reader} from {writer}{topics}: reader {'has' if knows else 'lacks'} the "
+                f"writer, writer {'has' if known else 'lacks'} the reader"
+            )
     return missing
 
 
 def settle(what: str, folder: Path, nodes: int) -> None:
-    """Wait until all hear all, and print after how long, or who does not hear whom."""
+    """Wait until all hear all, and print after how long, or who does not hear whom.
+
+    The first look comes when what was heard before has aged.
+    """
     begin = time.monotonic()
     missing = ["not asked"]
+    time.sleep(AGE)
     while missing and time.monotonic() < begin + LIMIT:
         time.sleep(0.5)
         missing = unheard(folder, nodes)
-    seconds = time.monotonic() - begin
-    result = f"{len(missing)} unheard: {missing[:6]}" if missing else f"all after {seconds:.1f} s"
-    print(f"{what}: {result}", flush=True)
+    if missing:
+        halves = sum(text.startswith("half") for text in missing)
+        print(f"{what}: {len(missing)} pairs unheard, {halves} half matches", flush=True)
+        print("".join(f"  {text}\n" for text in missing[:SHOWN]), end="", flush=True)
+    else:
+        print(f"{what}: all after {time.monotonic() - begin:.1f} s", flush=True)
+
+
+def times_of(profile: Path) -> str:
+    """Return the lease and the period of announcements in a profile of Fast DDS."""
+    texts = []
+    for name in "leaseDuration", "leaseAnnouncement":
+        value = ElementTree.parse(profile).find(f".//{{*}}{name}")
+        parts = {} if value is None else {part.tag.rpartition("}")[2]: part.text for part in value}
+        seconds = float(parts.get("sec") or 0) + 1e-9 * float(parts.get("nanosec") or 0)
+        texts.append(f"{name} {seconds:g} s" if parts else f"{name} of Fast DDS")
+    return ", ".join(texts)
 
 
 def main() -> None:
@@ -92,7 +138,9 @@ def main() -> None:
     parser.add_argument("--stop", type=float, default=7.0, help="s")
     options = parser.parse_args()
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
-    os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(options.profile).resolve())
+    profile = Path(options.profile).resolve()
+    os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
+    print(f"{times_of(profile)}; {options.nodes} nodes stopped for {options.stop:g} s", flush=True)
     pids: list[int] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

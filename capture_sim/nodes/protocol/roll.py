@@ -172,9 +172,9 @@ class Roll:
     def repeat(self) -> None:
         """Repeat this node's part, and name the nodes that are there but no longer heard.
 
-        Such a node stands still, or DDS has lost one direction of the connection, which it does not
-        mend: after a stop of about the lease (config/fast_dds.xml) one side has forgotten the other
-        and waits for endpoints that the other has sent before.
+        Such a node stands still, or it has forgotten this one in a stop longer than the lease
+        (config/fast_dds.xml) and asks in vain for endpoints that this one takes for acknowledged.
+        Fast DDS does not mend that; docs/node_suite.md shows the packets.
         """
         if self._own is not None:
             self._node.send(ROLL, self._own)
