@@ -11,11 +11,13 @@ NUMERICAL := tests/dynamics/test_accuracy.py tests/dynamics/test_second_formulat
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup develop lock run test test-generic test-numpy1 lint docs benchmark reproduction faults picture format clean test-plain
+.PHONY: help setup develop lock run test test-core test-nodes build/lint.log build/test-nodes.log
+.PHONY: test-generic test-numpy1 lint docs benchmark reproduction faults picture format clean test-plain
 
 help:
 	@echo "make run         set up and run the three experiments; results in runs/"
 	@echo "make test        set up, check the style and run the tests"
+	@echo "make test-core   only the tests without nodes; make test-nodes: only those of the nodes"
 	@echo "make test-generic run the numerical tests as compiled for any processor of this kind"
 	@echo "make test-numpy1 run the same tests with an apt Jazzy's NumPy, 1.26, and without rerun"
 	@echo "make test-plain  install without ROS in an environment of its own, and run README's Python"
@@ -41,11 +43,21 @@ setup develop:
 run: setup
 	$(BIN)/capture-sim bench tilt_0 tilt_p10 tilt_m10 --out runs
 
-# Tests that compile run before those of the nodes, which wait for each other; a file of those shares
-# its nodes, so one process runs it.
-test: lint
+# Nodes mostly wait for each other: their tests and lint run beside the other tests, and the logs of
+# lint and of the node tests are printed after those.
+test: develop
+	@mkdir -p build
+	@$(MAKE) --no-print-directory --keep-going -j3 test-core build/lint.log build/test-nodes.log; \
+		status=$$?; cat build/lint.log build/test-nodes.log; exit $$status
+
+test-core: develop
 	$(BIN)/python -m pytest tests --ignore tests/nodes -n auto --durations=20
-	$(BIN)/python -m pytest tests/nodes -n auto --dist loadfile --durations=20
+
+test-nodes: develop
+	$(BIN)/python -m pytest tests/nodes -n auto --durations=20
+
+build/lint.log build/test-nodes.log: build/%.log: develop
+	@$(MAKE) --no-print-directory $* >$@ 2>&1
 
 # Rounding differs from one processor to the next, most of all without fused multiply and add, and
 # tests must not depend on it. These are the tests that are most sensitive to it: each has failed for

@@ -1,5 +1,6 @@
 """Keeps what the tests start apart from everything else on the machine."""
 
+import fcntl
 import os
 import shutil
 import signal
@@ -12,6 +13,7 @@ import pytest
 from capture_sim import load_scene
 from capture_sim.commands.compiling import compile_first
 from capture_sim.hardware.stage import LoopStage
+from capture_sim.kernels import cache_folder
 from tests.domains import claim_domain
 
 # A shell starts what is in its background with Ctrl-C ignored, and the nodes would inherit that.
@@ -44,10 +46,15 @@ def pytest_collection_modifyitems(items):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtestloop(session):
-    """Compile the kernels once, and in no test's time: each worker would do it for itself."""
+    """Compile the kernels once, and in no test's time: each worker would do it for itself.
+
+    `make test` has two sessions at a time: the second waits for what the first compiles.
+    """
     if not session.config.option.collectonly and "PYTEST_XDIST_WORKER" not in os.environ:
-        compile_first()
-        LoopStage(load_scene("_loop"))
+        with (cache_folder() / "tests.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            compile_first()
+            LoopStage(load_scene("_loop"))
 
 
 def pytest_unconfigure():

@@ -7,11 +7,12 @@ chaser held, and ends after the verdict.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import functools
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -195,12 +196,57 @@ def random_injection(
     return Injection(source, float(begin), offset, frames, duration)
 
 
-def evaluate(measured: Stream) -> tuple[CaptureStatus, CaptureDetector]:
-    """Return the last status of a bench's trial, and the detector."""
-    detector = CaptureDetector(measured.scene, is_released=False, zero=STAMP_OF_RELEASE)
-    for measurement in measured.measurements():
-        detector.measure(*measurement)
+def first_difference(stream: Stream, other: Stream) -> float:
+    """Return the stamp before which two streams are equal, ns; infinite if they are equal."""
+    first = math.inf
+    for source in Source:
+        stamps = stream.stamps[source], other.stamps[source]
+        n = min(map(len, stamps))
+        differs = stamps[0][:n] != stamps[1][:n]
+        differs |= (stream.values[source][:n] != other.values[source][:n]).any(axis=1)
+        n_equal = int(np.argmax(differs)) if differs.any() else n
+        first = min([first, *(each[n_equal] for each in stamps if n_equal < len(each))])
+    return first
+
+
+def evaluate(
+    measured: Stream, detector: CaptureDetector | None = None, since: float = -math.inf
+) -> tuple[CaptureStatus, CaptureDetector]:
+    """Return the last status of a bench's trial, and the detector.
+
+    A detector that is given has been measured with everything before the stamp ``since``, ns.
+    """
+    if detector is None:
+        detector = CaptureDetector(measured.scene, is_released=False, zero=STAMP_OF_RELEASE)
+    for source, stamp, values in measured.measurements():
+        if stamp >= since:
+            detector.measure(source, stamp, values)
     return detector.finish()[-1], detector
+
+
+def evaluate_variants(
+    measured: Stream, variants: Sequence[Stream]
+) -> list[tuple[CaptureStatus, CaptureDetector]]:
+    """Return what :func:`evaluate` does of a stream and of variants of it.
+
+    Up to its first difference a variant is not evaluated again: the stream's detector is copied.
+    """
+    differences = [first_difference(measured, variant) for variant in variants]
+    waiting = sorted(range(len(variants)), key=differences.__getitem__, reverse=True)
+    detector = CaptureDetector(measured.scene, is_released=False, zero=STAMP_OF_RELEASE)
+    found = {}
+
+    def evaluate_next() -> None:
+        n = waiting.pop()
+        found[n] = evaluate(variants[n], copy.deepcopy(detector), differences[n])
+
+    for source, stamp, values in measured.measurements():
+        while waiting and differences[waiting[-1]] <= stamp:
+            evaluate_next()
+        detector.measure(source, stamp, values)
+    while waiting:
+        evaluate_next()
+    return [(detector.finish()[-1], detector), *(found[n] for n in range(len(variants)))]
 
 
 class Walk(NamedTuple):
@@ -226,15 +272,16 @@ def walk(
     outcomes, lines = Counter[str](), []
     for name in scenes:
         clean = stream(name, quality, rate, rng)
-        reference, _ = evaluate(clean)
-        if reference.state is not clean.verdict.state:
-            outcomes["reference"] += 1
-            lines.append(f"{name}, {rate:g} Hz without: {reference.label}, {reference.reason}")
+        injections = []
         for _ in range(count):
             frames = int(rng.integers(1, longest + 1)) if longest else 0
             duration = 0.0 if longest else float(rng.uniform(0.05, 0.3))
-            injection = random_injection(clean, rng, frames, duration)
-            status, detector = evaluate(injection.into(clean))
+            injections.append(random_injection(clean, rng, frames, duration))
+        (reference, _), *found = evaluate_variants(clean, [each.into(clean) for each in injections])
+        if reference.state is not clean.verdict.state:
+            outcomes["reference"] += 1
+            lines.append(f"{name}, {rate:g} Hz without: {reference.label}, {reference.reason}")
+        for injection, (status, detector) in zip(injections, found, strict=True):
             later = status.t - status.time_in_state - reference.t + reference.time_in_state
             if status.state is reference.state:
                 outcome = "equal" if abs(later) <= 0.1 else "another time"

@@ -20,6 +20,7 @@ from injections import (
     STANDARD,
     Quality,
     evaluate,
+    evaluate_variants,
     random_injection,
     stream,
     walk,
@@ -88,14 +89,29 @@ def test_wrong_frames_after_lost_ones_change_no_verdict(name, rate):
     rng = np.random.default_rng(4)
     for scene in SCENES:
         clean = stream(scene, QUALITIES[name], rate, rng)
-        reference, _ = evaluate(clean)
+        injections, variants = [], []
         for _ in range(COUNT):
             wrong = random_injection(clean, rng, frames=int(rng.integers(1, 6)))
-            measured = wrong.into(clean).without(wrong.begin - rng.uniform(0.02, 0.09), wrong.begin)
-            status, detector = evaluate(measured)
+            gap = wrong.begin - rng.uniform(0.02, 0.09), wrong.begin
+            injections.append(wrong)
+            variants.append(wrong.into(clean).without(*gap))
+        (reference, _), *found = evaluate_variants(clean, variants)
+        for wrong, (status, detector) in zip(injections, found, strict=True):
             text = f"{scene}: {wrong}: {status.label}, {status.reason}; {detector.counts.text}"
             assert status.state in (reference.state, CaptureState.UNDECIDED), text
             assert status.label in (reference.label, "undecided"), text
+
+
+def test_a_variant_is_evaluated_as_a_stream_of_its_own():
+    rng = np.random.default_rng(7)
+    clean = stream("tilt_0", HARD, 60.0, rng)
+    wrong = random_injection(clean, rng, frames=3).into(clean)
+    variants = [wrong, clean, clean.since(0.0), clean.without(0.5, 0.6)]
+    for variant, (status, detector) in zip(
+        [clean, *variants], evaluate_variants(clean, variants), strict=True
+    ):
+        expected, alone = evaluate(variant)
+        assert (status, detector.counts.text) == (expected, alone.counts.text)
 
 
 CLAMPED = dataclasses.replace(STANDARD, is_clamped=True)

@@ -16,6 +16,7 @@ import ast
 import contextlib
 import itertools
 import json
+import os
 import re
 import runpy
 import shlex
@@ -83,8 +84,11 @@ def run(monkeypatch, capfd):
     """A function that runs something in a folder, in this process, and returns what it prints.
 
     ``capture-sim`` with its arguments, other lines of a shell, or a script of Python with its own.
+    Runs of studies are made in this process: other cores have tests to run, and each new process
+    would load the kernels.  tests/studies compares both.
     """
     monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0})
 
     def run_in(folder, command):
         monkeypatch.chdir(folder)
