@@ -11,9 +11,9 @@ import hypothesis
 import pytest
 
 from capture_sim import load_scene
+from capture_sim.base.compiled.kernels import cache_folder
 from capture_sim.commands.compiling import compile_first
 from capture_sim.hardware.stage import LoopStage
-from capture_sim.kernels import cache_folder
 from tests.domains import claim_domain
 
 # A shell starts what is in its background with Ctrl-C ignored, and the nodes would inherit that.
