@@ -1,5 +1,6 @@
 """A plain node that talks to the nodes under test, and the one way in which tests wait."""
 
+import os
 import re
 import threading
 import time
@@ -15,7 +16,8 @@ from capture_sim.nodes.simulation.control import State
 from capture_sim.nodes.simulation.services import definitions
 from tests.nodes.own_domain import participant
 
-#: What is waited for makes some progress within this long, s, on a slow and busy machine too ...
+#: What is waited for makes some progress within this long, s, where a process has a core; where
+#: more processes want one, it gets a share of it (:func:`patience`) ...
 PATIENCE = 30.0
 #: ... and has come after this long.
 LONGEST = 240.0
@@ -24,13 +26,19 @@ LONGEST = 240.0
 AGAIN = 2.0
 
 
+def patience():
+    """Return the time in which a waiting process gets as much of a core as in PATIENCE alone, s."""
+    share = os.getloadavg()[0] / (os.cpu_count() or 1)
+    return min(PATIENCE * max(1.0, share), LONGEST)
+
+
 def wait_until(condition, what="waited in vain", progress=lambda: None):
     """Wait until a condition holds, as long as the value of ``progress`` changes meanwhile."""
     began = since = time.monotonic()
     seen = progress()
     while not condition():
         now = time.monotonic()
-        if now > since + PATIENCE:
+        if now > since + PATIENCE and now > since + patience():
             before, seen, since = seen, progress(), now
             is_stuck = seen == before or now > began + LONGEST
             assert not is_stuck, what() if callable(what) else what

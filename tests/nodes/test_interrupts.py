@@ -174,7 +174,7 @@ def test_shutdown_is_bounded_where_a_disk_is_stalled(start, tmp_path):
         node.RecorderNode._record = stall
     """
     recorder = start("recorder", stalled, out=tmp_path)
-    simulator = start("simulator", wait_for="[recorder]", reader_timeout=1.0)
+    simulator = start("simulator", wait_for="[recorder]")
     recorder.wait_for("stalled")
     recorder.process.send_signal(signal.SIGTERM)
     assert recorder.status() == 1

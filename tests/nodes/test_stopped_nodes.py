@@ -25,7 +25,8 @@ def test_twenty_nodes_each_stopped_for_a_while_are_all_in_the_next_run(start, tm
         nodes[i].process.send_signal(signum)
     short = "[run.t_end=0.6, run.rate=100]"
     waited = f"[{', '.join(names)}]"
-    simulator = start("simulator", rtf=0.0, wait_for=waited, overrides=short)
+    patient = {"reader_timeout": 60.0, "start_timeout": 240.0}
+    simulator = start("simulator", rtf=0.0, wait_for=waited, overrides=short, **patient)
     simulator.wait_for("done, ")
     assert simulator.status() == 0, simulator.text
     for node in nodes:
