@@ -38,7 +38,7 @@ WRITTEN = {"run": "runs", "bench": "runs"}
 #: By public names alone: deep ones differ from state to state.
 COMPILE = (
     "-c",
-    "import capture_sim as c; b = c.Bench(c.load_scene('paper_designed')); b.advance(b.times(0, 2))",
+    "import capture_sim as c\nb = c.Bench(c.load_scene('paper_designed'))\nb.advance(b.times(0, 2))",
 )
 
 
