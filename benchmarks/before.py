@@ -38,7 +38,9 @@ WRITTEN = {"run": "runs", "bench": "runs"}
 #: By public names alone: deep ones differ from state to state.
 COMPILE = (
     "-c",
-    "import capture_sim as c\nb = c.Bench(c.load_scene('paper_designed'))\nb.advance(b.times(0, 2))",
+    "from capture_sim import Bench, load_scene\n"
+    "bench = Bench(load_scene('paper_designed'))\n"
+    "bench.advance(bench.times(0, 2))",
 )
 
 

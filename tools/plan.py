@@ -75,7 +75,7 @@ def arrows(found: Mapping[str, set[str]]) -> set[tuple[str, str]]:
 
 
 def draw_plan() -> Figure:
-    """Draw rooms and arrows; each arrow has the id ``arrow-FROM-TO`` in an SVG."""
+    """Draw rooms and arrows; in an SVG they have the ids ``room-NAME`` and ``arrow-FROM-TO``."""
     rows = layers()
     height = _ROW * len(rows)
     figure = new_figure(_WIDTH, height, arranged=False)
@@ -93,7 +93,9 @@ def draw_plan() -> Figure:
     for room, (x, y) in places.items():
         corner = x - _BOX[0] / 2, y - _BOX[1] / 2
         look = {"facecolor": style.PALE, "edgecolor": style.DARK, "lw": 1.2, "zorder": 5}
-        axes.add_patch(FancyBboxPatch(corner, *_BOX, boxstyle="round,pad=0.03", **look))
+        box = FancyBboxPatch(corner, *_BOX, boxstyle="round,pad=0.03", **look)
+        box.set_gid(f"room-{room}")
+        axes.add_patch(box)
         text = room if room in ("cli", "errors") else f"{room}/"
         axes.text(x, y, text, ha="center", va="center", fontsize=_FONT, zorder=6)
     for room, below in sorted(arrows(imports())):

@@ -34,9 +34,8 @@ class Origin:
     software: tuple[str, ...] = ()  # that made it, ``"name version"`` each
     release: Release = Release.STAMP
     after_first_pose: float = 0.0  # s, of the release
-    live: Lazy[LiveConditions] = Lazy(
-        lambda: LiveConditions(is_simulated=True)
-    )  # used by the live detector
+    # used by the live detector
+    live: Lazy[LiveConditions] = Lazy(lambda: LiveConditions(is_simulated=True))
     problems: tuple[str, ...] = ()  # why the recording is incomplete, one line each
     left_out: tuple[str, ...] = ()  # topics that cannot be read, one line each
 
