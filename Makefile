@@ -109,6 +109,7 @@ picture: develop
 	$(BIN)/capture-sim run tilt_0 tilt_p10 tilt_m10 --out build/picture
 	$(BIN)/python -m tools.explain docs
 	$(BIN)/python -m tools.diagrams docs
+	$(BIN)/python -m tools.plan docs
 	$(BIN)/python -m tools.reference docs --pictures
 	cp build/picture/tilt_p10.png docs/tilt_p10.png
 	$(BIN)/capture-sim sweep tilt_0 --vary approach.angle='-30 deg:30 deg:21' \

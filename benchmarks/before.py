@@ -1,14 +1,13 @@
-"""What users' commands and the parts of a run cost, beside an earlier state, in turn with it.
+"""What users' commands cost, beside an earlier state, in turn with it.
 
-    python -m benchmarks.before --before CHECKOUT    # twenty minutes, parts: three
+    python -m benchmarks.before --before CHECKOUT    # twenty minutes
 
-CHECKOUT has a .venv of its own.  Shows three tables: the least of some rounds, and processor time
+CHECKOUT has a .venv of its own.  Shows two tables: the least of some rounds, and processor time
 wherever that is what counts.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -36,7 +35,13 @@ COMMANDS = {
 }
 #: What they write, in a folder that goes.
 WRITTEN = {"run": "runs", "bench": "runs"}
-COMPILE = ("-c", "from capture_sim.dynamics.compilation import compile_kernels; compile_kernels()")
+#: By public names alone: deep ones differ from state to state.
+COMPILE = (
+    "-c",
+    "from capture_sim import Bench, load_scene\n"
+    "bench = Bench(load_scene('paper_designed'))\n"
+    "bench.advance(bench.times(0, 2))",
+)
 
 
 def spent(checkout: Path, arguments: tuple[str, ...], **more: str) -> tuple[float, float, float]:
@@ -96,13 +101,6 @@ def starting(checkout: Path) -> dict[str, float]:
     return {"from the command `bench` to the release, wall time, s": took}
 
 
-def same_work(times: int, checkout: Path) -> dict[str, float]:
-    command = [python(checkout), str(ROOT / "benchmarks" / "same_work.py"), str(times)]
-    given = {"env": environment(checkout), "capture_output": True, "text": True}
-    parts = json.loads(subprocess.run(command, check=True, **given).stdout)
-    return {f"{name}, CPU time, ms": value for name, value in parts.items()}
-
-
 def set_up(checkout: Path) -> dict[str, float]:
     """Time `make run` in a fresh clone of what is committed, and once more."""
     took = []
@@ -147,11 +145,6 @@ def commands(asked: Namespace, _: Path) -> list[str]:
     return compared(asked, work)
 
 
-def parts(asked: Namespace, _: Path) -> list[str]:
-    # short turns, and many: of minutes at another speed both states get some
-    return compared(asked, [(4 * asked.rounds, partial(same_work, asked.times))])
-
-
 def fresh(asked: Namespace, _: Path) -> list[str]:
     return compared(asked, [(max(asked.rounds // 2, 1), set_up)])
 
@@ -160,8 +153,7 @@ if __name__ == "__main__":
     write_parts(
         None,
         __doc__,
-        {"before": commands, "before_parts": parts, "fresh": fresh},
+        {"before": commands, "fresh": fresh},
         before=(None, "checkout of an earlier state"),
-        rounds=(4, "of each figure, half as many of the long ones, four times as many of parts"),
-        times=(4, "that a part is repeated in a round"),
+        rounds=(4, "of each figure, half as many of the long ones"),
     )

@@ -42,8 +42,7 @@ JUDGED = ("paper_designed", "tilt_0", "tilt_p10", "tilt_m10")
 
 def serve(times: int) -> None:
     """Answer each line on standard input with the least times of all cases, ms, as JSON."""
-    from capture_sim import load_scene
-    from capture_sim.dynamics.bench import Bench
+    from capture_sim import Bench, load_scene  # public names: deep ones differ between states
 
     scenes = [(load_scene(name, changes), t_end) for name, changes, t_end in CASES.values()]
     gc.disable()

@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
         if value != of_scene:
             echo(f"recorded criterion: {name} = {value:g} {unit} (scene: {of_scene:g} {unit})")
     statuses = detect(recorded, judged_by)
-    is_simulated = recorded.origin.trial.is_simulated
+    is_simulated = recorded.origin.live.is_simulated
     label = None
     for status in statuses:
         if status.label != label:

@@ -174,7 +174,7 @@ class PlayerNode(BenchNode):
                 "nothing was played: of the topics and times chosen the recording contains no "
                 "message of an installed type"
             )
-        return FAILED if count == 0 or self.outbox.dropped else OK
+        return FAILED if count == 0 or self.topic_publishers.dropped else OK
 
     def _play(self) -> int:
         """Play; return how many messages were played."""

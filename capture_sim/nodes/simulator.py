@@ -84,7 +84,7 @@ class SimulatorNode(BenchNode):
             "nodes that every run waits for, by role or name, also nodes of your own",
             allowed="roles (recorder, capture_detector, launcher) or names of nodes",
         )
-        self.outbox.reader_timeout = self.declare(
+        self.topic_publishers.reader_timeout = self.declare(
             "reader_timeout",
             15.0,
             "s (wall), after which a run continues without a subscriber that reads nothing",

@@ -19,7 +19,7 @@ from capture_sim.messages.topics import Topic
 from capture_sim.recording.bag import Bag
 from capture_sim.run.lazy import Deferred, LazyMapping
 from capture_sim.run.series import QUANTITIES, Series, SeriesBySource, series_in
-from capture_sim.run.verdict import TICK, Received, Trial
+from capture_sim.run.verdict import TICK, LiveConditions, Received
 from capture_sim.scene.launch_plan import LaunchPlan, plan_launch
 from capture_sim.scene.parts import Scene
 
@@ -103,12 +103,12 @@ def _exact(exact: Deferred[dict[str, Series]], quantity: str) -> Series:
     return exact.value[quantity]
 
 
-def trial_in(bag: Bag) -> Trial:
+def live_conditions(bag: Bag) -> LiveConditions:
     """Return the run's measurements that the live detector had."""
     last = math.inf
     if not bag.is_simulated and bag.holds(topics.CAPTURE_STATUS) and bag.statuses[-1].final:
         last = bag.statuses[-1].t + TICK
-    return Trial(bag.is_simulated, last, is_cut=bag.cut)
+    return LiveConditions(bag.is_simulated, last, is_cut=bag.cut)
 
 
 def received_in(bag: Bag, scene: Scene | None) -> list[Received]:

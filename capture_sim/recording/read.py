@@ -18,7 +18,12 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.recording.bag import Bag, read_bag
 from capture_sim.recording.export import tables_of
-from capture_sim.recording.measurements import commanded_launch, received_in, series_of, trial_in
+from capture_sim.recording.measurements import (
+    commanded_launch,
+    live_conditions,
+    received_in,
+    series_of,
+)
 from capture_sim.run.lazy import Deferred
 from capture_sim.run.origin import Origin
 from capture_sim.run.run import Run
@@ -99,7 +104,7 @@ def _origin_of(bag: Bag) -> Origin:
         software=tuple(filter(None, bag.metadata.get("software", "").split("\n"))),
         release=bag.clock.origin,
         after_first_pose=bag.clock.after_first_pose,
-        trial=Deferred(partial(trial_in, bag)),
+        live=Deferred(partial(live_conditions, bag)),
         problems=bag.problems,
         left_out=bag.left_out,
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from capture_sim.base.software import scene_hash
 from capture_sim.run.lazy import Lazy
 from capture_sim.run.verdict import (
-    Trial,
+    LiveConditions,
 )
 from capture_sim.scene.loading import overrides_of
 
@@ -34,7 +34,8 @@ class Origin:
     software: tuple[str, ...] = ()  # that made it, ``"name version"`` each
     release: Release = Release.STAMP
     after_first_pose: float = 0.0  # s, of the release
-    trial: Lazy[Trial] = Lazy(lambda: Trial(is_simulated=True))  # used by the live detector
+    # used by the live detector
+    live: Lazy[LiveConditions] = Lazy(lambda: LiveConditions(is_simulated=True))
     problems: tuple[str, ...] = ()  # why the recording is incomplete, one line each
     left_out: tuple[str, ...] = ()  # topics that cannot be read, one line each
 

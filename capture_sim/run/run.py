@@ -539,12 +539,12 @@ def detect(
     if scene is None:
         scene = with_criteria(run.scene, run.criteria, ())
     has_noise = any(name.startswith("motion_capture/") for name in run.series.get("chaser", ()))
-    is_cut = run.origin.trial.is_cut or bool(run.failure)
+    is_cut = run.origin.live.is_cut or bool(run.failure)
     if run.is_exact and not has_noise and not from_series:
         return detect_state(run.state, scene, is_cut=is_cut)
-    trial = run.origin.trial._replace(is_cut=is_cut)
+    live = run.origin.live._replace(is_cut=is_cut)
     received = received_in(run.series) if run.received is None else run.received
-    return detect_received(received, scene, trial)
+    return detect_received(received, scene, live)
 
 
 def _turned(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from capture_sim.scene.parts import Detector, Scene
 TICK = 1e-6
 
 
-class Trial(NamedTuple):
+class LiveConditions(NamedTuple):
     """What the live detector knew of a run, and the part of a recording that it has used."""
 
     is_simulated: bool  # one clock stamps everything, and the run begins with the release
@@ -58,7 +58,7 @@ class Received(NamedTuple):
 
 
 def detect_received(
-    received: Iterable[Received], scene: Scene, trial: Trial
+    received: Iterable[Received], scene: Scene, live: LiveConditions
 ) -> list[CaptureStatus]:
     """Evaluate measurements, in the order of their arrival, as the detector's node does.
 
@@ -68,12 +68,12 @@ def detect_received(
 
     detector = CaptureDetector(
         scene,
-        is_released=trial.is_simulated,
-        reorder=0 if trial.is_simulated else REORDER,
-        last=trial.last,
+        is_released=live.is_simulated,
+        reorder=0 if live.is_simulated else REORDER,
+        last=live.last,
     )
     statuses = [status for each in received for status in detector.measure(*each)]
-    return [*statuses, *detector.finish(cut=trial.is_cut)]
+    return [*statuses, *detector.finish(cut=live.is_cut)]
 
 
 def received_in(series: SeriesBySource) -> list[Received]:

@@ -16,7 +16,7 @@ from capture_sim.scene.parts import Scene
 T = TypeVar("T")
 
 
-class Remembered(Generic[T]):
+class CachedFunction(Generic[T]):
     """A function of a scene that keeps its last result.
 
     It is called again where one of its ``fields`` is another object.  The function must read no
@@ -45,10 +45,10 @@ class Remembered(Generic[T]):
         return all(map(is_, found, earlier))
 
 
-def depends_on(*fields: str) -> Callable[[Callable[[Scene], T]], Remembered[T]]:
-    """Return a decorator for a function of some fields of a scene; see :class:`Remembered`.
+def depends_on(*fields: str) -> Callable[[Callable[[Scene], T]], CachedFunction[T]]:
+    """Return a decorator for a function of some fields of a scene; see :class:`CachedFunction`.
 
     ``fields`` are parts (``"cone"``) or values in parts that each scene has
     (``"buffer.hinge_offset"``).
     """
-    return lambda function: Remembered(function, fields)
+    return lambda function: CachedFunction(function, fields)

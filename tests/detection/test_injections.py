@@ -44,7 +44,7 @@ from capture_sim.messages.topics import (
     TARGET_POSE,
 )
 from capture_sim.run.run import detect
-from capture_sim.run.verdict import Received, Trial, detect_received
+from capture_sim.run.verdict import LiveConditions, Received, detect_received
 
 COUNT = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "2"))
 NS = 1_000_000_000
@@ -75,7 +75,7 @@ def test_wrong_frames_after_lost_ones_of_a_bench_are_no_loss_of_the_capture():
         Received(sources[source], stamp, tuple(values[: sources[source].size]))
         for source, stamp, values in zip(*columns, strict=True)
     ]
-    statuses = detect_received(received, load_scene("tilt_0"), Trial(is_simulated=False))
+    statuses = detect_received(received, load_scene("tilt_0"), LiveConditions(is_simulated=False))
     assert [*dict.fromkeys(s.label for s in statuses)] == ["approach", "contact", "captured"]
     assert "chaser: 3 outlier" in statuses[-1].not_used
     # the fit would have followed them

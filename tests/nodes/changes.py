@@ -10,7 +10,7 @@ import numpy as np
 
 from capture_sim.hardware.pacing import Pacer
 from capture_sim.hardware.rig import Rig
-from capture_sim.nodes.base.publishers import Outbox
+from capture_sim.nodes.base.publishers import Publishers
 from tests.nodes.bench_client import LONGEST
 
 
@@ -23,13 +23,13 @@ def shared_numbers(path):
 
 def count_sent(path, name):
     """Let the node count what it sends of a topic, before it is on its way."""
-    counts, send = np.memmap(path, np.float64, "r+"), Outbox.send
+    counts, send = np.memmap(path, np.float64, "r+"), Publishers.send
 
     def counted(self, topic, message):
         counts[0] += topic.name == name
         return send(self, topic, message)
 
-    Outbox.send = counted
+    Publishers.send = counted
 
 
 # a loop and its rig in lockstep

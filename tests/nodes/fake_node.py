@@ -41,7 +41,7 @@ class FakeNode:
         self.now = self.created = 0.0
         self.name, self.publishers = name, [name]
         self.listened, self.sent = [], []
-        self.messages, self.outbox, self.log = Messages(), FakeOutbox(), FakeLog()
+        self.messages, self.topic_publishers, self.log = Messages(), FakeOutbox(), FakeLog()
         self.end_request, self.failure, self.exit_status = threading.Event(), None, 0
         self._callbacks, self._coming = {}, []  # by topic; s and function
         self._interrupted = False
@@ -89,7 +89,7 @@ class FakeNode:
         self._callbacks[topic] = callback
 
     def open(self, topics):
-        self.outbox.topics += topics
+        self.topic_publishers.topics += topics
 
     def send(self, topic, message):
         self.sent.append((self.now, topic, message))

@@ -15,7 +15,7 @@ from capture_sim.messages.topics import (
     TARGET_ODOMETRY,
 )
 from capture_sim.nodes.base.endpoints import message_class, qos_of
-from capture_sim.run.verdict import Received, Trial, detect_received
+from capture_sim.run.verdict import LiveConditions, Received, detect_received
 from tests.nodes.bench_client import Client, wait_until
 
 TOPICS = {
@@ -70,7 +70,7 @@ def test_a_detector_that_was_stopped_gives_the_verdict_of_all_messages(start):
         expected = detect_received(
             [Received(source, stamp - STAMP_OF_RELEASE, v) for source, stamp, v in received],
             measured.scene,
-            Trial(is_simulated=False),
+            LiveConditions(is_simulated=False),
         )
         # the last instants are evaluated at the end
         live = [s for s in expected if s.state is expected[-1].state]

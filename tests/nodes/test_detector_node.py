@@ -203,7 +203,7 @@ def test_changes_of_state_are_kept_for_a_busy_subscriber(make_bench):
 
     send(0)
     assert reader.wait(lambda: came, PATIENCE)
-    assert sender.wait(lambda: sender.outbox.matched(CAPTURE_VERDICT), PATIENCE)
+    assert sender.wait(lambda: sender.topic_publishers.matched(CAPTURE_VERDICT), PATIENCE)
     for state in (1, 2, 3):
         send(state)
     assert reader.wait(lambda: len(came) == 4, PATIENCE)
@@ -220,7 +220,7 @@ def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start, make_bench)
     bench = make_bench("real_bench", topics)
     statuses = []
     bench.listen(CAPTURE_STATUS, statuses.append)
-    assert bench.wait(lambda: all(bench.outbox.matched(t) for t in topics), PATIENCE)
+    assert bench.wait(lambda: all(bench.topic_publishers.matched(t) for t in topics), PATIENCE)
     measure(bench, measured)
     assert bench.wait(lambda: statuses and statuses[-1].final, PATIENCE)
     assert statuses[-1].state == CaptureState.REBOUND

@@ -87,7 +87,7 @@ def following(node):
 def test_the_roll_is_the_last_that_a_node_reads(node, following):
     """Whoever is heard there is matched with all its other topics."""
     assert node.listened[-2:] == [RUN_INFO, ROLL]
-    assert node.outbox.topics[-1] is ROLL
+    assert node.topic_publishers.topics[-1] is ROLL
 
 
 def test_a_node_is_ready_once_it_has_heard_all_and_begins_once_all_are_ready(node, following):
@@ -146,7 +146,7 @@ def test_a_run_is_refused_to_whom_it_waits_for_and_does_not_join(node, announcin
     node.hear(ROLL, part_of(FREE))
     with pytest.raises(CaptureSimError, match="launcher has not joined the run"):
         announce(node, announcing)
-    assert node.now == pytest.approx(node.outbox.reader_timeout, abs=0.1)
+    assert node.now == pytest.approx(node.topic_publishers.reader_timeout, abs=0.1)
     assert any("waiting for /launcher to join the run" in line for line in node.log.lines)
 
 
@@ -160,16 +160,16 @@ def test_a_run_begins_once_all_have_joined(node, announcing):
 
 def test_a_plain_node_is_there_when_all_it_reads_is_matched(node, announcing):
     """By its name in the graph alone, its first messages were lost."""
-    node.outbox.found[BENCH_STATE] = ["/lab/launcher", "/other"]
-    node.outbox.n_matched[BENCH_STATE] = 1
-    node.at(5.0, lambda: node.outbox.n_matched.update({BENCH_STATE: 2}))
+    node.topic_publishers.found[BENCH_STATE] = ["/lab/launcher", "/other"]
+    node.topic_publishers.n_matched[BENCH_STATE] = 1
+    node.at(5.0, lambda: node.topic_publishers.n_matched.update({BENCH_STATE: 2}))
     announcing.await_nodes("tilt_0", 60.0)
     assert node.now == pytest.approx(5.0, abs=0.1)
 
 
 def test_subscriptions_that_have_just_come_may_not_be_all(node, announcing):
-    node.outbox.n_matched[BENCH_STATE] = 1
-    node.at(5.0, lambda: node.outbox.found[BENCH_STATE].append("/launcher"))
+    node.topic_publishers.n_matched[BENCH_STATE] = 1
+    node.at(5.0, lambda: node.topic_publishers.found[BENCH_STATE].append("/launcher"))
     announcing.await_nodes("tilt_0", 60.0)
     assert node.now >= 5.0 + DISCOVERY_TIME
 

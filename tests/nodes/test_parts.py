@@ -7,7 +7,7 @@ import pytest
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.topics import BENCH_STATE, CHASER_POSE
 from capture_sim.nodes.base import sources
-from capture_sim.nodes.base.publishers import Outbox
+from capture_sim.nodes.base.publishers import Publishers
 from capture_sim.nodes.base.sources import SourceDiagnostics
 from capture_sim.nodes.viewer import ViewerNode
 
@@ -19,10 +19,10 @@ def test_error_of_publishing_is_reported_at_once_with_its_cause():
         def publish(self, message):
             raise RuntimeError("Failed to publish: type support not from this implementation")
 
-    outbox = Outbox(SimpleNamespace(create_publisher=lambda *arguments: Broken()))
-    outbox.open([BENCH_STATE])
+    topic_publishers = Publishers(SimpleNamespace(create_publisher=lambda *arguments: Broken()))
+    topic_publishers.open([BENCH_STATE])
     with pytest.raises(CaptureSimError, match=r"bench/state: cannot be published: .*type support"):
-        outbox.send(BENCH_STATE, b"")
+        topic_publishers.send(BENCH_STATE, b"")
 
 
 def test_rates_of_sources_are_those_of_what_came(monkeypatch):

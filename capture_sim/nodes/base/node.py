@@ -26,7 +26,7 @@ from capture_sim.messages.telemetry import Sent
 from capture_sim.messages.topics import Rate, Topic
 from capture_sim.nodes.base.endpoints import from_bytes, full_name, is_own, message_class, qos_of
 from capture_sim.nodes.base.parameters import ParameterNode
-from capture_sim.nodes.base.publishers import Outbox
+from capture_sim.nodes.base.publishers import Publishers
 
 try:
     # a fortieth of the plain executor's cost per message; not in every rclpy
@@ -60,7 +60,7 @@ class BenchNode(ParameterNode):
         self.exit_status = OK
         self.failure: Exception | None = None
         self.in_callback = False
-        self.outbox = Outbox(self)
+        self.topic_publishers = Publishers(self)
         self.callback_executor: Executor | None = None
         self._interrupted = False
         self._rejections: Counter[Topic] = Counter()
@@ -221,16 +221,16 @@ class BenchNode(ParameterNode):
 
     def open(self, topics: Sequence[Topic]) -> None:
         """Make the publishers of these topics."""
-        self.outbox.open(topics)
+        self.topic_publishers.open(topics)
 
     def send(self, topic: Topic, data: Any) -> bool:
-        """Publish a message; see :meth:`Outbox.send`."""
-        return self.outbox.send(topic, data)
+        """Publish a message; see :meth:`Publishers.send`."""
+        return self.topic_publishers.send(topic, data)
 
     def publish(self, *messages: Sent) -> None:
         """Publish messages of a telemetry."""
         for message in messages:
-            self.outbox.send(message.topic, message.data)
+            self.topic_publishers.send(message.topic, message.data)
 
     # the graph
 

@@ -116,7 +116,7 @@ def live(node: BenchNode) -> int:
         log.debug("".join(traceback.format_exception(error)))
         status = FAILED
     node.report_rejections()
-    node.outbox.drain(TRANSIT_TIME)
+    node.topic_publishers.drain(TRANSIT_TIME)
     return status
 
 

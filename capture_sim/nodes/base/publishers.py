@@ -36,7 +36,7 @@ ASKED = 4
 _POLL = 0.001
 
 
-class Outbox:
+class Publishers:
     """The publishers of a node, by topic.
 
     ``reader_timeout``: s (wall), after which a reader that reads nothing is dropped, see

@@ -70,7 +70,7 @@ class Announcement:
         self._send(replace(self.run, run_id=""))
 
     def _pending(self, for_what: str, has: Callable[[Part], bool]) -> str:
-        dropped = self._node.outbox.dropped
+        dropped = self._node.topic_publishers.dropped
         participants = [id_ for id_ in self.run.participants if node_of(id_) not in dropped]
         return _listed(for_what, self._roll.pending(participants, has))
 
@@ -128,7 +128,7 @@ class Announcer:
         self._is_on = True
         self._announcement = on = Announcement(self._node, self._roll, run, data)
         try:
-            self.await_none(run.name, on.not_joined, self._node.outbox.reader_timeout)
+            self.await_none(run.name, on.not_joined, self._node.topic_publishers.reader_timeout)
         except CaptureSimError as error:
             self._node.get_logger().warning(f"{run.name}: {error}")
         for name in self._wait_for:
@@ -138,10 +138,10 @@ class Announcer:
 
     def await_read(self) -> None:
         """Wait until all that was sent has arrived, and name a reader that reads nothing."""
-        outbox = self._node.outbox
-        unread = outbox.drain(outbox.reader_timeout)
-        if unread and not outbox.dropped and not self._node.end_request.is_set():
-            outbox.report_stalled(unread[0])
+        topic_publishers = self._node.topic_publishers
+        unread = topic_publishers.drain(topic_publishers.reader_timeout)
+        if unread and not topic_publishers.dropped and not self._node.end_request.is_set():
+            topic_publishers.report_stalled(unread[0])
 
     def await_done(self) -> None:
         """Wait until all participants have left the run; CaptureSimError after the limit."""
@@ -219,14 +219,14 @@ class Announcer:
         if any(_is_named(node, name) for node in self._node.nodes_that_publish(ROLL)):
             return False
         count, matched = 0, True
-        for topic in self._node.outbox.topics:
+        for topic in self._node.topic_publishers.topics:
             if topic in (ROLL, RUN_INFO, STREAM_COUNTS):
                 continue
-            readers = self._node.outbox.readers(topic)
+            readers = self._node.topic_publishers.readers(topic)
             own = sum(_is_named(reader, name) for reader in readers)
             if own:
                 count += own
-                matched = matched and self._node.outbox.matched(topic) >= len(readers)
+                matched = matched and self._node.topic_publishers.matched(topic) >= len(readers)
         now = time.monotonic()
         if self._subscriptions.get(name) != count:
             if count:
@@ -235,7 +235,7 @@ class Announcer:
         return count > 0 and matched and now > self._changed + DISCOVERY_TIME
 
     def _warn_of_best_effort(self, name: str) -> None:
-        for topic in self._node.outbox.topics:
+        for topic in self._node.topic_publishers.topics:
             resolved = self._node.resolve_topic_name(topic.name)
             for reader in self._node.get_subscriptions_info_by_topic(resolved):
                 best_effort = reader.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT

@@ -142,7 +142,9 @@ class SimulatedRuns:
 
     def has_dropped_participants(self) -> bool:
         """Return True if a reader was dropped that takes part in runs."""
-        return any(part.node in self._node.outbox.dropped for part in self._roll.parts.values())
+        return any(
+            part.node in self._node.topic_publishers.dropped for part in self._roll.parts.values()
+        )
 
     def _begin_run(self, scene: Scene) -> tuple[BenchTelemetry, bool]:
         """Announce the run; return its telemetry, and True if a launcher arms and releases."""

@@ -13,7 +13,7 @@ from capture_sim.dynamics.model.parameters import pack
 from capture_sim.scene import launch_plan as plan
 from capture_sim.scene import loading as scenes
 from capture_sim.scene import paths
-from capture_sim.scene.cache import Remembered
+from capture_sim.scene.cache import CachedFunction
 from capture_sim.scene.loading import check_scene
 from capture_sim.scene.quantities import Checked, declared
 
@@ -22,7 +22,7 @@ FUNCTIONS = {
     f"{module.__name__}.{name}": value
     for module in _MODULES
     for name, value in vars(module).items()
-    if isinstance(value, Remembered) and value.__module__ == module.__name__
+    if isinstance(value, CachedFunction) and value.__module__ == module.__name__
 }
 #: Parts that a scene may have beside those of the packaged ones.
 PARTS = {
