@@ -32,7 +32,7 @@ scene = load_scene("tilt_0")
 end("scene")
 import numba
 end("numba")
-from capture_sim.dynamics.bench import Bench, compile_kernels
+from capture_sim.dynamics.compilation import compile_kernels
 compile_kernels()
 end("kernels, from the cache")
 from capture_sim import simulate

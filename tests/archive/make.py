@@ -35,7 +35,7 @@ from pathlib import Path
 ARCHIVE = Path(__file__).resolve().parent
 SCENE = ARCHIVE / "every_part.yaml"
 #: Largest size of a file, bytes.
-LIMIT = 100_000
+LIMIT = 100 * 1024
 VARIED = ("--vary", "buffer.c_A=10,20", "--vary", "approach.angle=0 deg,10 deg")
 STREAMS = (
     "/motion_capture/chaser",
@@ -131,7 +131,7 @@ def run_trial(checkout, folder):
     started = [checkout.start(rig, "--ros-args", "-p", "rate:=25.0")]
     try:
         for name, values in nodes.items():
-            code = "".join(path.read_text() for path in own.glob("*.py"))
+            code = "".join(path.read_text() for path in own.rglob("*.py"))
             known = {**values, **(PATIENCE if name == "launcher" else {})}
             known = {k: v for k, v in known.items() if f'"{k}"' in code}
             parameters = [x for k, v in known.items() for x in ("-p", f"{k}:={_yaml(v)}")]
