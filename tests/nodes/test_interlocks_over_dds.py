@@ -15,7 +15,7 @@ from tests.nodes.bench_client import wait_until
 WATCHED = """
 from numba.core import event
 from capture_sim.trial import hold
-from capture_sim.nodes import trial_bench, trial_server
+from capture_sim.nodes.trials import bench as trial_bench, server as trial_server
 
 compiled, loaded, between = event.RecordingListener(), [], []
 count = [0, True]  # callbacks since launcher/hold was looked at; whether it holds
