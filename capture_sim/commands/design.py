@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import csv
 import dataclasses
+import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,7 +13,7 @@ from typing import Any, Self
 
 from rich.console import Console
 
-from capture_sim.commands import FAILED, OK
+from capture_sim.commands import FAILED, INTERRUPTED, OK
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_limits,
@@ -37,23 +39,40 @@ from capture_sim.commands.output import (
     write_text,
 )
 from capture_sim.errors import SceneError
+from capture_sim.interrupts import terminated_as_interrupted
+from capture_sim.recording.sweep_file import head_of
 from capture_sim.results import LOADS, implausible_stroke
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range
-from capture_sim.studies.design import (
+from capture_sim.studies.candidates import (
     CHECK_DRAWS,
     DRAWS,
-    FREE,
     Candidate,
-    Design,
     Dispersions,
     Requirements,
+)
+from capture_sim.studies.capture_range import AREAS, make_area
+from capture_sim.studies.design import (
+    MAX_ROWS,
+    Design,
+    Row,
+    beaten_by,
+    costs_of_limits,
     design_buffer,
-    make_variables,
 )
 from capture_sim.studies.executors import open_executor
-from capture_sim.studies.limits import Limit, make_limits, read_limits
-from capture_sim.studies.outcome import Outcome, run_first_contact, run_to_end
+from capture_sim.studies.front import require_pymoo
+from capture_sim.studies.limit_costs import STEP, LimitCost
+from capture_sim.studies.limits import (
+    CAPTURE_RANGE,
+    LOAD_KEYS,
+    Limit,
+    Measure,
+    make_limits,
+    make_objectives,
+    read_limits,
+)
+from capture_sim.studies.outcome import CAPTURED, Outcome, run_first_contact, run_to_end
 from capture_sim.studies.paper_flow import (
     FirstContactDesign,
     FirstContactTarget,
@@ -61,24 +80,67 @@ from capture_sim.studies.paper_flow import (
     design_first_contact,
     with_buffer,
 )
+from capture_sim.studies.variables import FREE, TORSIONAL, make_variables
 from capture_sim.tables import print_table
 
 DESCRIPTION = (
-    "Find the buffer that captures within limits with the least peak force. If none does, print "
-    "the buffer that comes closest among the ones tried (exit status 1). Limits apply to the "
-    "whole run, including the latched phase. Without limits, the strokes of the scene's own "
-    "buffer are the limits. With --first-contact, design as in the paper: for strokes of the "
-    "first contact."
+    "Find the buffers that capture within limits and that no other buffer beats in all objectives: "
+    "one buffer for one objective, the front for two or three. Each row of the table over the "
+    "front is also a scene. If no buffer captures within the limits, print the one that comes "
+    "closest among the ones tried (exit status 1). Limits apply to the whole run, including the "
+    "latched phase. Without limits and objectives, the strokes of the scene's own buffer are the "
+    "limits. With --first-contact, design as in the paper: for strokes of the first contact."
 )
 EXAMPLE = """\
-  capture-sim design paper_designed --stroke-limit 7.5 --torsion-limit 2
-  capture-sim design tilt_0 --stroke-limit 10 --limit max_buffer_force=8 \\
-    --free buffer.k_A,buffer.c_A,buffer.preload --under dispersions.yaml"""
+  capture-sim design tilt_p10 --minimize max_axial_stroke_in,max_buffer_force --torsion-limit 8
+  capture-sim design tilt_0 --stroke-limit 10 --minimize max_buffer_force \\
+    --free buffer.k_A,buffer.c_A,buffer.preload --under dispersions.yaml
+  capture-sim design tilt_0 --stroke-limit 10 --minimize max_buffer_force \\
+    --maximize capture_range --approach mouth_offset='-60 mm:60 mm:9'"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_scene(parser, "paper_designed")
+    parser.add_argument(
+        "--minimize",
+        action="append",
+        default=[],
+        metavar="LOAD[,LOAD[,LOAD]]",
+        help="minimise these loads of results.json, of the whole run or with _before_latch "
+        "(default: max_buffer_force, and max_buffer_torque where torsion is free)",
+    )
+    parser.add_argument(
+        "--maximize",
+        action="append",
+        default=[],
+        metavar=CAPTURE_RANGE,
+        help="maximise the share of the area of --approach that is captured within the limits",
+    )
+    parser.add_argument(
+        "--approach",
+        action="append",
+        default=[],
+        metavar="NAME=LOW:HIGH:COUNT",
+        help="set the area of the capture range: angle, offset, mouth_offset or speed over a grid, "
+        f"e.g. offset='-40 mm:40 mm:9'; or {', '.join(AREAS)}, the initial contact conditions of "
+        "that docking standard. May be repeated",
+    )
+    parser.add_argument(
+        "--capture-range",
+        type=number(Range(0.0, 1.0, low_open=True)),
+        default=0.0,
+        metavar="SHARE",
+        help="require that this share of the area of --approach is captured within the limits",
+    )
+    parser.add_argument(
+        "--pick",
+        type=reader(_pick, f"knee, or the number of a row, 1 to {MAX_ROWS}"),
+        default="knee",
+        metavar="knee|N",
+        help="write this row of the front as design.yaml (default: knee, the row farthest below "
+        "the line between both ends of the front on logarithmic axes)",
+    )
     parser.add_argument(
         "--stroke-limit",
         type=in_unit("mm"),
@@ -160,36 +222,79 @@ def run(options: argparse.Namespace) -> int:
     if options.first_contact:
         return _design_first_contact(scene, options)
     free = [name for text in options.free for name in text.split(",")] or list(FREE)
-    under = None
-    if options.under is not None:
-        under = Dispersions(*dispersions(options))
-    given = _limits(options)
+    under = Dispersions(*dispersions(options)) if options.under is not None else None
+    given, objectives = _limits(options), _objectives(options, free)
+    area = make_area(scene, options.approach)
+    requirements = Requirements(
+        objectives,
+        given,
+        under,
+        options.confidence or 0.95,
+        options.draws or DRAWS,
+        area,
+        options.capture_range,
+    )
     make_variables(scene, given, free)  # before anything runs
+    require_pymoo()
     prepare_folder(options.out)
     compile_first()
-    limits = given or _own_limits(scene)
-    requirements = Requirements(limits, under, options.confidence or 0.95, options.draws or DRAWS)
-    echo(f"limits: {', '.join(limit.text for limit in limits)}")
+    if not (given or options.minimize or options.maximize):
+        requirements = dataclasses.replace(requirements, limits=_own_limits(scene))
+    echo(f"objectives: {', '.join(each.meaning for each in objectives)}")
+    limits = [limit.text for limit in requirements.limits]
+    if options.capture_range:
+        limits.append(f"capture range >= {options.capture_range:.4g}")
+    echo(f"limits: {', '.join(limits) or 'none'}")
+    costs: tuple[LimitCost, ...] = ()
     with (
+        terminated_as_interrupted(),
         open_executor(options.workers, options.scheduler) as executor,
-        _Candidates(_candidate_line, verbose=options.verbose) as candidates,
     ):
-        design = design_buffer(
-            scene,
-            requirements,
-            free,
-            seed=options.seed,
-            executor=executor,
-            report=candidates.show,
-        )
-    _report(design)
-    _keep(design, options)
+        with _Candidates(_line_of(objectives), verbose=options.verbose) as candidates:
+            design = design_buffer(
+                scene,
+                requirements,
+                free,
+                seed=options.seed,
+                executor=executor,
+                report=candidates.show,
+            )
+        picked = _picked(design, options.pick)
+        if picked is not None and not design.interrupted:
+            costs = costs_of_limits(
+                design, design.rows[picked], seed=options.seed, executor=executor
+            )
+    _report(design, picked, costs)
+    _keep(design, picked, costs, options)
+    if design.interrupted:
+        warn(f"interrupted: {len(design.history)} buffers tried, written to {options.out}")
+        return INTERRUPTED
     with drawing():
         from capture_sim.viewing.canvas import save
-        from capture_sim.viewing.studies import draw_design
+        from capture_sim.viewing.design import draw_design
 
-        echo(f"plot in {save(draw_design(design), options.out / 'design.png')}")
+        echo(f"plot in {save(draw_design(design, picked), options.out / 'design.png')}")
     return OK if design.met else FAILED
+
+
+def _pick(text: str) -> int | str:
+    if text == "knee":
+        return text
+    if not (text.isascii() and text.isdecimal() and 1 <= int(text) <= MAX_ROWS):
+        raise ValueError(text)
+    return int(text)
+
+
+def _picked(design: Design, pick: int | str) -> int | None:
+    """Return the index of the row that is picked; None without a buffer."""
+    if not design.rows:
+        return None
+    if isinstance(pick, str):
+        return design.knee
+    if pick > len(design.rows):
+        warn(f"--pick {pick}: must be knee or 1 to {len(design.rows)}; the knee is picked")
+        return design.knee
+    return pick - 1
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -201,7 +306,9 @@ def _check(options: argparse.Namespace) -> None:
         others = {"--stroke-limit": options.stroke_limit, "--torsion-limit": options.torsion_limit}
         others |= {"--limit": options.limits, "--free": options.free, "--under": options.under}
         others |= {"--confidence": options.confidence, "--correlate": options.correlate}
-        others |= {"--draws": options.draws}
+        others |= {"--draws": options.draws, "--minimize": options.minimize}
+        others |= {"--maximize": options.maximize, "--approach": options.approach}
+        others |= {"--capture-range": options.capture_range}
         for name, value in others.items():
             if value:
                 raise SceneError(f"{name}: must be given without --first-contact")
@@ -215,6 +322,16 @@ def _check(options: argparse.Namespace) -> None:
     for name, value in of_draws.items():
         if value and options.under is None:
             raise SceneError(f"{name}: must be given with --under")
+
+
+def _objectives(options: argparse.Namespace, free: Sequence[str]) -> tuple[Measure, ...]:
+    """Return the objectives that are given, or what the buffer transmits."""
+    least = [name.strip() for text in options.minimize for name in text.split(",")]
+    if not (least or options.maximize):
+        least = ["max_buffer_force"]
+        if any(text.partition("=")[0].strip() in TORSIONAL for text in free):
+            least.append("max_buffer_torque")
+    return make_objectives(least, options.maximize)
 
 
 def _limits(options: argparse.Namespace) -> tuple[Limit, ...]:
@@ -276,14 +393,19 @@ class _Candidates:
             self._status.update(f"candidate {line.strip()}")
 
 
-def _candidate_line(candidate: Candidate) -> str:
-    values = "  ".join(
-        f"{name.rpartition('.')[2]} {value:9.5g}" for name, value in candidate.values.items()
-    )
-    return (
-        f"{values}  {candidate.peak_force:8.1f} N  {candidate.verdict}"
-        f"{'' if candidate.feasible else f', violates the limits by {candidate.violation:.3g}'}"
-    )
+def _line_of(objectives: Sequence[Measure]) -> Callable[[Candidate], str]:
+    def line(candidate: Candidate) -> str:
+        values = "  ".join(
+            f"{name.rpartition('.')[2]} {value:9.5g}" for name, value in candidate.values.items()
+        )
+        loads = "  ".join(
+            f"{each.shown(candidate.loads[each.key]):>8} {each.load.shown_in}"
+            for each in objectives
+        )
+        violates = "" if candidate.feasible else f", violates by {candidate.violation:.3g}"
+        return f"{values}  {loads}  {candidate.verdict}{violates}"
+
+    return line
 
 
 def _trial_line(trial: Trial) -> str:
@@ -294,26 +416,114 @@ def _trial_line(trial: Trial) -> str:
     )
 
 
-def _report(design: Design) -> None:
-    echo(f"{len(design.history)} buffers tried")
-    if not design.met:
+def _report(design: Design, picked: int | None, costs: Sequence[LimitCost]) -> None:
+    n_feasible = sum(each.feasible for each in design.history)
+    echo(f"{len(design.history)} buffers tried, {n_feasible} feasible")
+    if picked is None:
         echo(f"no buffer found: {design.refusal}")
-    if design.best.feasible:
-        _print_buffer(design)
-        _print_whole_run(design.scene, design.outcome, design.requirements.limits)
-    check, requirements = design.check, design.requirements
-    if check is not None and design.best.share is not None:
+        return
+    if len(design.rows) > 1:
+        echo(f"front of {len(design.front)} buffers; {_picked_text(design, picked)}\n")
+    _print_front(design)
+    _print_own(design)
+    row = design.rows[picked]
+    _print_buffer(design, row)
+    scene = design.scene_of(row.candidate)
+    _print_whole_run(scene, run_to_end(scene), design.requirements.limits)
+    check, requirements = row.check, design.requirements
+    if check is not None:
         echo(
-            f"captured within the limits in {design.best.share:.1%} of the draws of the search, "
-            f"and in {check.met} of {check.computed} new draws: probability "
-            f"{check.estimate:.4f}, 95 % interval {check.low:.4f} to {check.high:.4f}; "
+            f"captured within the limits in {check.met} of {check.computed} new draws: "
+            f"probability {check.estimate:.4f}, 95 % interval {check.low:.4f} to {check.high:.4f}; "
             f"{requirements.confidence:.4g} required"
         )
+    _print_costs(costs, requirements.objectives)
 
 
-def _print_buffer(design: Design) -> None:
-    values = dict(design.best.values)
-    rebound = design.scene.buffer.c_A_rebound
+def _picked_text(design: Design, picked: int) -> str:
+    at_knee = "the knee, " if design.rows[picked].is_knee else ""
+    return f"{at_knee}row {picked + 1}, is picked"
+
+
+def _shown_measures(design: Design) -> list[Measure]:
+    """Return the objectives and the limited loads, each once."""
+    requirements = design.requirements
+    keys = [each.key for each in (*requirements.objectives, *requirements.limits)]
+    if requirements.area:
+        keys.append(CAPTURE_RANGE)
+    return [Measure(key) for key in dict.fromkeys(keys)]
+
+
+def _print_front(design: Design) -> None:
+    """Print the rows of the front, and the scene's own buffer below them."""
+    measures, variables = _shown_measures(design), design.variables
+    head = ["row"]
+    head += [f"{each.meaning}\n{each.load.shown_in}" for each in measures]
+    head += [f"{each.name.removeprefix('buffer.')}\n{each.unit}" for each in variables]
+
+    def cells(name: str, candidate: Candidate) -> list[str]:
+        loads = [_text_of(each, candidate) for each in measures]
+        return [name, *loads, *(f"{candidate.values[each.name]:.4g}" for each in variables)]
+
+    rows = [
+        cells(f"{number}{' knee' if row.is_knee and len(design.rows) > 1 else ''}", row.candidate)
+        for number, row in enumerate(design.rows, 1)
+    ]
+    print_table(head, [*rows, cells("own", design.own)])
+    if design.requirements.under is not None:
+        echo(f"loads: at {design.requirements.confidence:.4g} of {CHECK_DRAWS} new draws")
+
+
+def _text_of(measure: Measure, candidate: Candidate) -> str:
+    value = candidate.loads[measure.key]
+    if math.isnan(value):
+        return "-"
+    if measure.key == CAPTURE_RANGE:
+        return f"{value * 100.0:.1f} +- {candidate.range_error * 100.0:.1f}"
+    return measure.shown(value)
+
+
+def _print_own(design: Design) -> None:
+    """Print by how much the front beats the scene's own buffer."""
+    own = design.own
+    if own.verdict != CAPTURED:
+        echo(f"the scene's own buffer ends {own.verdict}")
+        return
+    excess = [each for each in design.requirements.limits if each.use(own.loads[each.key]) > 1.0]
+    if excess:
+        echo(f"the scene's own buffer exceeds {', '.join(limit.text for limit in excess)}")
+    parts = []
+    for objective, best in beaten_by(design):
+        value = own.loads[objective.key]
+        change = best / value - 1.0 if value else 0.0
+        parts.append(
+            f"{objective.meaning} {objective.shown(best)} {objective.load.shown_in} in place of "
+            f"{objective.shown(value)} ({change:+.1%})"
+        )
+    if parts:
+        others = ", the other objectives no worse" if len(design.rows) > 1 else ""
+        echo(f"against the scene's own buffer{others}: {'; '.join(parts)}")
+
+
+def _print_costs(costs: Sequence[LimitCost], objectives: Sequence[Measure]) -> None:
+    """Print what the active limits cost in the objectives."""
+    if not costs:
+        return
+    echo(f"\nactive limits, and the change of each objective with {STEP:.0%} more of them")
+    rows = [
+        [
+            f"{cost.limit.text}",
+            f"{cost.use:.1%}",
+            *(f"{change.value:+.2%} +- {change.deviation:.2%}" for change in cost.changes),
+        ]
+        for cost in costs
+    ]
+    print_table(["limit", "used", *(each.meaning for each in objectives)], rows)
+
+
+def _print_buffer(design: Design, row: Row) -> None:
+    values = dict(row.candidate.values)
+    rebound = design.scene_of(row.candidate).buffer.c_A_rebound
     if rebound is not None:
         values["buffer.c_A_rebound"] = rebound
     units = {variable.name: variable.unit for variable in design.variables}
@@ -359,23 +569,78 @@ def _load_rows(outcome: Outcome, limits: Sequence[Limit]) -> list[list[str]]:
     return rows
 
 
-def _keep(design: Design, options: argparse.Namespace) -> None:
-    """Write the scene with the designed buffer, and every candidate of the search."""
+def _keep(
+    design: Design,
+    picked: int | None,
+    costs: Sequence[LimitCost],
+    options: argparse.Namespace,
+) -> None:
+    """Write the front, its rows as scenes, the picked one, and every candidate of the search."""
     requirements = design.requirements
+    keys = [each.key for each in _shown_measures(design)]
+
+    def plain(candidate: Candidate) -> dict[str, Any]:
+        loads = {key: candidate.loads[key] for key in keys if key in candidate.loads}
+        return {
+            "values": dict(candidate.values),
+            "loads": {key: None if math.isnan(x) else x for key, x in loads.items()},
+            "verdict": candidate.verdict,
+            "violation": candidate.violation,
+            "share": candidate.share,
+        }
+
     kept: dict[str, Any] = {"refusal": design.refusal, "seed": options.seed}
+    kept["objectives"] = [each.key for each in requirements.objectives]
     kept["limits"] = {limit.key: limit.value for limit in requirements.limits}
     kept["free"] = {each.name: [each.low, each.high] for each in design.variables}
     if requirements.under is not None:
         kept["under"] = {name: str(given) for name, given in requirements.under.vary.items()}
         kept["confidence"] = requirements.confidence
-    if design.check is not None:
-        kept["check"] = design.check._asdict()
-    kept |= _outcome_of(design.outcome)
-    kept["history"] = [
-        {**dataclasses.asdict(candidate), "values": dict(candidate.values)}
-        for candidate in design.history
+    if requirements.area:
+        kept["area"] = {axis.name: axis.values for axis in requirements.area}
+        kept["least_capture_range"] = requirements.least_range
+    outcome = None
+    if picked is not None:
+        row = design.rows[picked]
+        kept["picked"] = picked + 1
+        if row.check is not None:
+            kept["check"] = row.check._asdict()
+        outcome = run_to_end(design.scene_of(row.candidate))
+    kept |= _outcome_of(outcome)
+    kept["costs"] = [
+        {"limit": cost.limit.key, "use": cost.use, "changes": cost.changes} for cost in costs
     ]
-    _write(kept, design.scene if design.best.feasible else None, options.out)
+    kept["own"] = plain(design.own)
+    kept["rows"] = [plain(row.candidate) for row in design.rows]
+    kept["history"] = [plain(candidate) for candidate in design.history]
+    for old in options.out.glob("design_[0-9][0-9].yaml"):
+        old.unlink()  # of an earlier design with more rows
+    if len(design.rows) > 1:
+        echo(f"front in {write_text(options.out / 'front.csv', _front_csv(design))}")
+        for number, row in enumerate(design.rows, 1):
+            named = _named(design.scene_of(row.candidate), f"_{number:02d}")
+            write_text(options.out / f"design_{number:02d}.yaml", named.to_yaml())
+        echo(f"rows in {options.out / 'design_01.yaml'} to design_{len(design.rows):02d}.yaml")
+    picked_scene = None if picked is None else design.scene_of(design.rows[picked].candidate)
+    _write(kept, picked_scene, options.out)
+
+
+def _front_csv(design: Design) -> str:
+    """Return the front as CSV, units in the head: row in the table, free values, all loads, SI."""
+    numbers = {id(row.candidate): k for k, row in enumerate(design.rows, 1)}
+    keys = [*LOAD_KEYS, *([CAPTURE_RANGE] if design.requirements.area else [])]
+    head = ["row", "knee", *(head_of(each.name, each.unit) for each in design.variables)]
+    head += [head_of(key, Measure(key).load.unit.replace("1", "")) for key in keys]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    for candidate in design.front:
+        number = numbers.get(id(candidate), "")
+        is_knee = bool(number) and design.rows[int(number) - 1].is_knee
+        values = [candidate.values[each.name] for each in design.variables]
+        loads = ["" if math.isnan(x := candidate.loads[key]) else x for key in keys]
+        writer.writerow([number, "knee" if is_knee else "", *values, *loads])
+    return text.getvalue()
 
 
 def _outcome_of(outcome: Outcome | None) -> dict[str, Any]:
@@ -385,10 +650,13 @@ def _outcome_of(outcome: Outcome | None) -> dict[str, Any]:
 def _write(kept: Mapping[str, Any], scene: Scene | None, folder: Path) -> None:
     echo(f"every candidate in {write_json(folder / 'design.json', kept)}")
     if scene is not None:
-        # a name of its own: both can be run into one folder and compared
-        name, title = f"{scene.name}_design", f"{scene.title}; designed"
-        scene = dataclasses.replace(scene, name=name, title=title)
-        echo(f"scene in {write_text(folder / 'design.yaml', scene.to_yaml())}")
+        echo(f"scene in {write_text(folder / 'design.yaml', _named(scene).to_yaml())}")
+
+
+def _named(scene: Scene, number: str = "") -> Scene:
+    """Return a scene with a name of its own: both can be run into one folder and compared."""
+    name, title = f"{scene.name}_design{number}", f"{scene.title}; designed"
+    return dataclasses.replace(scene, name=name, title=title)
 
 
 def _factors(text: str) -> list[float]:

@@ -133,7 +133,7 @@ def capture_ranges(
     for _ in range(bisections if len(changes) else 0):
         middle = 0.5 * (low + high)
         asked = [
-            (int(change[0]), _point(area, along, change[1:-1], at))
+            (int(change[0]), _point(area, along, change[1:-1].tolist(), at))
             for change, at in zip(changes, middle.tolist(), strict=True)
         ]
         is_as_low = np.asarray(is_captured(asked), dtype=bool) == begins

@@ -181,6 +181,23 @@ def _rows(
     return tuple(Row(front[k], k == at_knee, checks[k]) for k in shown)
 
 
+def beaten_by(design: Design) -> list[tuple[Measure, float]]:
+    """Return the best value of each objective on the front, the others no worse than the own.
+
+    Objectives in which no buffer of the front beats the scene's own are left out.
+    """
+    objectives = design.requirements.objectives
+    own, front = costs_of([design.own], objectives)[0], costs_of(design.front, objectives)
+    found = []
+    for k, objective in enumerate(objectives):
+        no_worse = np.delete(front <= own, k, axis=1).all(axis=1)
+        better = [n for n in np.flatnonzero(no_worse).tolist() if front[n, k] < own[k]]
+        if better:
+            best = min(better, key=lambda n: float(front[n, k]))
+            found.append((objective, design.front[best].loads[objective.key]))
+    return found
+
+
 def costs_of_limits(
     design: Design, row: Row, *, seed: int = 1, executor: Executor | None = None
 ) -> tuple[LimitCost, ...]:

@@ -17,6 +17,8 @@ from capture_sim.studies.limits import Limit
 
 #: Values that are searched unless others are named.
 FREE = ("buffer.k_A", "buffer.k_T", "buffer.c_A")
+#: Values that act on the torsion: where one is free, its torque is an objective by default.
+TORSIONAL = ("buffer.k_T", "buffer.k_T3", "buffer.c_T", "buffer.c_T2")
 #: Values that a table of the spring's force replaces.
 _OF_AXIAL_SPRING = ("buffer.k_A", "buffer.k_A3", "buffer.preload")
 #: Strokes where no limit is given, m and rad, as measures of the ranges only.
