@@ -53,6 +53,8 @@ from capture_sim.studies.candidates import (
 )
 from capture_sim.studies.capture_range import AREAS, make_area
 from capture_sim.studies.design import (
+    CANDIDATES,
+    CANDIDATES_OF_AREA,
     MAX_ROWS,
     Design,
     Row,
@@ -169,6 +171,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"(default: {','.join(FREE)}). buffer.c_A_rebound keeps its ratio to buffer.c_A unless it "
         "is free",
     )
+    parser.add_argument(
+        "--candidates",
+        type=whole(Range(100, 1_000_000)),
+        metavar="N",
+        help=f"try at most N buffers before those under dispersions (default: {CANDIDATES}, or "
+        f"{CANDIDATES_OF_AREA} with --approach)",
+    )
     add_seed(parser, "the search and of the draws")
     add_under(parser, "require the limits under the distributions of this YAML file")
     parser.add_argument(
@@ -255,6 +264,7 @@ def run(options: argparse.Namespace) -> int:
                 scene,
                 requirements,
                 free,
+                candidates=options.candidates,
                 seed=options.seed,
                 executor=executor,
                 report=candidates.show,
@@ -308,7 +318,7 @@ def _check(options: argparse.Namespace) -> None:
         others |= {"--confidence": options.confidence, "--correlate": options.correlate}
         others |= {"--draws": options.draws, "--minimize": options.minimize}
         others |= {"--maximize": options.maximize, "--approach": options.approach}
-        others |= {"--capture-range": options.capture_range}
+        others |= {"--capture-range": options.capture_range, "--candidates": options.candidates}
         for name, value in others.items():
             if value:
                 raise SceneError(f"{name}: must be given without --first-contact")

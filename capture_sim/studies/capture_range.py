@@ -9,9 +9,12 @@ second line.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +22,14 @@ from capture_sim.errors import SceneError
 from capture_sim.launch.approach import APPROACH, approach_of
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.axes import Axis, make_axis
+from capture_sim.studies.executors import answers
+from capture_sim.studies.limits import Limit
+from capture_sim.studies.outcome import CAPTURED
+from capture_sim.studies.sampling import Samples
+from capture_sim.studies.sweep import Recipe, result_columns, run_rows
+
+if TYPE_CHECKING:
+    import pandas
 
 #: Ready areas by name.  ``idss``: initial contact conditions of the International Docking System
 #: Standard (interface definition document, revision E, 2016): closing rate 0.05 to 0.10 m/s,
@@ -32,6 +43,9 @@ AREAS: Mapping[str, Mapping[str, str]] = {
 }
 #: Bisections of a change between neighbours on the grid.
 BISECTIONS = 5
+
+#: Runs that a worker does in one go.
+_CHUNK = 20
 
 #: Returns whether approaches are captured: of each, the case and the values of the area's axes.
 Captures = Callable[[Sequence[tuple[int, tuple[float, ...]]]], Sequence[bool] | np.ndarray]
@@ -91,8 +105,8 @@ def area_of_map(axes: Sequence[Axis]) -> tuple[Axis, ...]:
     """
     if any(axis.distribution is not None for axis in axes):
         return ()
-    shown = sorted(axes, key=lambda axis: -len(set(axis.values)))[:2]
-    area = tuple(axis for axis in axes if axis in shown and axis.name in APPROACH)
+    shown = [axis.name for axis in sorted(axes, key=lambda axis: -len(set(axis.values)))[:2]]
+    area = tuple(axis for axis in axes if axis.name in shown and axis.name in APPROACH)
     is_grid = all(len(axis.values) >= 3 and _is_ascending(axis) for axis in area)
     return area if is_grid else ()
 
@@ -153,6 +167,44 @@ def capture_ranges(
         CaptureRange(float(v), float(e), int(n))
         for v, e, n in zip(values, errors, runs, strict=True)
     ]
+
+
+def ranges_of_sweep(
+    scene: Scene,
+    samples: Samples,
+    table: pandas.DataFrame,
+    limits: Sequence[Limit],
+    executor: Executor,
+) -> dict[tuple[Any, ...], CaptureRange]:
+    """Return the capture ranges of a sweep over a grid, by the values of its other axes.
+
+    The area is that of :func:`area_of_map`; empty where there is none.
+    """
+    area = area_of_map([axis for axis in samples.axes if len(axis.values) != 1])
+    if not area or len(table) < len(samples.rows):
+        return {}
+    cases = [axis for axis in samples.axes if axis.name not in {each.name for each in area}]
+    names = [axis.name for axis in samples.axes]
+    order = [names.index(axis.name) for axis in (*cases, *area)]
+    is_good = table["verdict"] == CAPTURED
+    if limits:
+        is_good &= table["exceeded"] == ""
+    grid = is_good.to_numpy().reshape([len(axis.values) for axis in samples.axes])
+    points = list(itertools.product(*(axis.values for axis in cases)))
+    captured = grid.transpose(order).reshape(len(points), -1)
+    columns = result_columns(check=False, limited=bool(limits))
+    recipe = Recipe(scene, tuple(axis.name for axis in (*cases, *area)))
+    work = functools.partial(run_rows, recipe, False, tuple(limits))
+
+    def is_captured(asked: Sequence[tuple[int, tuple[float, ...]]]) -> list[bool]:
+        rows = [(*points[case], *point) for case, point in asked]
+        chunks = [rows[start : start + _CHUNK] for start in range(0, len(rows), _CHUNK)]
+        done = [row for results in answers(executor, work, chunks) for row in results]
+        found = [dict(zip(columns, row, strict=True)) for row in done]
+        return [row["verdict"] == CAPTURED and not row.get("exceeded") for row in found]
+
+    ranges = capture_ranges(area, captured, is_captured)
+    return dict(zip(points, ranges, strict=True))
 
 
 def _point(area: Sequence[Axis], along: int, others: Sequence[int], at: float) -> tuple[float, ...]:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
@@ -38,17 +38,16 @@ from capture_sim.studies.variables import FREE, Variable, make_variables, with_v
 
 #: Most rows of the table over a front.
 MAX_ROWS = 12
-#: Buffers spread over the ranges before the search; then those of a population for each free value,
-#: and most populations.  The same with an area of approach, whose buffers need 100 runs each.
-_FIRST, _SEARCH = 200, (20, 34)
-_FIRST_OF_AREA, _SEARCH_OF_AREA = 60, (10, 15)
-#: Most buffers that are run at the tolerance of the scene.
-_CONFIRMED = 140
+#: Most candidates of a search; with an area of approach each of them needs about 100 runs.
+CANDIDATES, CANDIDATES_OF_AREA = 2400, 500
 #: The search ends when the front grows by less than this share in so many populations.
 _GROWTH, _PATIENCE = 2e-4, 6
+#: Most buffers spread over the ranges before the search, and that are run at the tolerance of the
+#: scene after it; buffers of a population for each free value.
+_FIRST, _CONFIRMED, _POPULATION = 200, 140, 20
 #: Under dispersions: buffers of a population for each free value and populations of a round;
 #: rounds, each with twice the draws.
-_ROBUST_SEARCH, _ROUNDS = (10, 10), 3
+_ROBUST_POPULATION, _ROBUST_GENERATIONS, _ROUNDS = 10, 10, 3
 #: Relative width within which values of an objective count as equal.
 SAME = 0.01
 #: An objective is not decided by the buffer if this share of the first feasible buffers, and at
@@ -99,6 +98,7 @@ def design_buffer(
     requirements: Requirements,
     free: Sequence[str] = FREE,
     *,
+    candidates: int | None = None,
     seed: int = 1,
     executor: Executor | None = None,
     report: Callable[[Candidate], None] | None = None,
@@ -116,6 +116,9 @@ def design_buffer(
         Names of the values to search, e.g. ``"buffer.preload"``; with a range as
         ``"buffer.k_A=100:2000"``.  ``buffer.c_A_rebound`` keeps its ratio to ``buffer.c_A`` unless
         it is free.
+    candidates
+        Most buffers to try without dispersions, 100 or more; None for 2400, or 500 with an area of
+        approach.  The search ends before if the front grows no more.
     seed
         Seed of the search and of the draws; the same seed gives the same front.
     executor
@@ -138,14 +141,15 @@ def design_buffer(
     require_pymoo()
     variables = make_variables(scene, requirements.limits, free)
     search = _Search(scene, requirements, variables, seed, executor or InProcess(), report)
+    most = candidates or (CANDIDATES_OF_AREA if requirements.area else CANDIDATES)
     interrupted, refusal, front = False, "", []
     checks: list[Probability | None] = []
     try:
-        refusal = search.nominal()
+        refusal = search.nominal(most)
     except KeyboardInterrupt:
         interrupted = True
     if not refusal:
-        front = search.confirmed()
+        front = search.confirmed(min(_CONFIRMED, most // 10))
         checks = [None] * len(front)
     if front and requirements.under is not None and not interrupted:
         try:
@@ -246,7 +250,7 @@ class _Search:
         run = dataclasses.replace(scene.run, rtol=max(scene.run.rtol, RTOL))
         coarse = dataclasses.replace(scene, run=run)
         self._coarse = Evaluator(coarse, requirements, seed, executor, report)
-        self._exact = Evaluator(scene, requirements, seed, executor)
+        self._exact = Evaluator(scene, requirements, seed, executor, report)
         #: The rows of the last round under dispersions, with their check.
         self.checked: list[tuple[Candidate, Probability]] = []
         self._own = {each.name: float(paths.get(scene, each.name) or 0.0) for each in variables}
@@ -263,35 +267,40 @@ class _Search:
             found = [each for each, _ in self._coarse.check(found, 1)]
         return found[0]
 
-    def nominal(self) -> str:
+    def nominal(self, most: int) -> str:
         """Search without dispersions; return why the search ended before a front; else nothing."""
         from scipy.stats import qmc
 
-        sampler = qmc.LatinHypercube(len(self._variables), seed=self._seed)
-        has_area = bool(self._requirements.area)
-        first = sampler.random(_FIRST_OF_AREA if has_area else _FIRST)
-        population, generations = _SEARCH_OF_AREA if has_area else _SEARCH
-        return self._evolve(self._coarse.alone, first, population, generations)
+        n_values = len(self._variables)
+        n_first, population = min(_FIRST, most // 6), min(_POPULATION * n_values, most // 16)
+        first = qmc.LatinHypercube(n_values, seed=self._seed).random(n_first)
+        generations = (most - n_first - min(_CONFIRMED, most // 10)) // population
+        for number, candidates in enumerate(
+            self._populations(self._coarse.alone, first, population, generations)
+        ):
+            if number == 0 and (reason := undecided(candidates, self._requirements.objectives)):
+                return reason
+        return ""
 
-    def confirmed(self) -> list[Candidate]:
+    def confirmed(self, most: int) -> list[Candidate]:
         """Return the front of the best buffers at the tolerance of the scene."""
-        best = self._best(self.history)[:_CONFIRMED]
-        if not best:
-            return []
-        return self._front(self._exact.alone([each.values for each in best]))
+        best = self._best(self.history)[:most]
+        return self._front(self._exact.alone([each.values for each in best]) if best else [])
 
     def robust(
         self, front: Sequence[Candidate]
     ) -> tuple[list[Candidate], list[Probability | None]]:
         """Return buffers of the front under dispersions that pass the check with new draws."""
-        start = self._promising(front)
+        size = _ROBUST_POPULATION * len(self._variables)
+        start = self._promising(front, size)
         for number in range(_ROUNDS):
             draws = self._coarse.draws(self._requirements.draws * 2**number, 2 * number)
-            n_before = len(self.history)
             evaluate = partial(self._coarse.with_draws, draws)
             shares = np.array([self._shares(each) for each in start])
-            self._evolve(evaluate, shares, *_ROBUST_SEARCH)
-            best = self._front(self.history[n_before:])
+            tried: list[Candidate] = []
+            for candidates in self._populations(evaluate, shares, size, _ROBUST_GENERATIONS):
+                tried += candidates
+            best = self._front(tried)
             if best:
                 points = costs_of(best, self._requirements.objectives)
                 shown = [best[k] for k in rows_of(points, MAX_ROWS, [knee(points)])]
@@ -302,18 +311,18 @@ class _Search:
                     found = self._front(kept)
                     return found, [passed[id(each)] for each in found]
             # the draws were too kind, or too few: more of them, beginning with the best
-            tried = sorted(self.history[n_before:], key=lambda each: each.violation)
-            start = [*best, *tried][: _ROBUST_SEARCH[0] * len(self._variables)]
+            tried.sort(key=lambda each: each.violation)
+            start = [*best, *tried][:size]
         return [], []
 
-    def _evolve(
+    def _populations(
         self,
         evaluate: Callable[[Sequence[Mapping[str, float]]], list[Candidate]],
         first: np.ndarray,
         population: int,
         generations: int,
-    ) -> str:
-        """Search from buffers by their shares; return why the objectives need no search."""
+    ) -> Iterator[list[Candidate]]:
+        """Yield the populations of a search that begins with buffers by their shares."""
         from pymoo.algorithms.moo.nsga2 import NSGA2
         from pymoo.core.evaluator import Evaluator as Marker
         from pymoo.core.problem import Problem
@@ -322,7 +331,7 @@ class _Search:
 
         objectives, n_values = self._requirements.objectives, len(self._variables)
         problem = Problem(n_var=n_values, n_obj=len(objectives), n_ieq_constr=1, xl=0.0, xu=1.0)
-        algorithm = NSGA2(pop_size=population * n_values, sampling=first)
+        algorithm = NSGA2(pop_size=population, sampling=first)
         algorithm.setup(problem, termination=NoTermination(), seed=self._seed)
         fronts: list[np.ndarray] = []
         found: list[Candidate] = []
@@ -335,13 +344,11 @@ class _Search:
             }
             Marker().eval(StaticProblem(problem, **marks), asked)
             algorithm.tell(infills=asked)
-            if number == 0 and (reason := undecided(candidates, objectives)):
-                return reason
+            yield candidates
             found = self._front([*found, *candidates])
             fronts.append(costs_of(found, objectives))
             if number >= _PATIENCE and _growth(fronts[-1 - _PATIENCE], fronts[-1]) < _GROWTH:
-                break
-        return ""
+                return
 
     def _best(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Return the feasible candidates, those of the front first."""
@@ -360,9 +367,8 @@ class _Search:
     def _shares(self, candidate: Candidate) -> list[float]:
         return [each.share(candidate.values[each.name]) for each in self._variables]
 
-    def _promising(self, front: Sequence[Candidate]) -> list[Candidate]:
+    def _promising(self, front: Sequence[Candidate], size: int) -> list[Candidate]:
         """Return buffers to begin with under dispersions: of the front, and with much margin."""
-        size = _ROBUST_SEARCH[0] * len(self._variables)
         points = costs_of(front, self._requirements.objectives)
         feasible = [each for each in self.history if each.feasible]
         by_margin = sorted(feasible, key=self._largest_use)[: size - size // 2]

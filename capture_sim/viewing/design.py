@@ -20,7 +20,7 @@ from capture_sim.viewing import style
 from capture_sim.viewing.canvas import subplots
 
 #: Axes show the front with this factor of room; on linear axes, this share of its range.
-_ROOM, _LINEAR_ROOM = 2.5, 0.5
+_ROOM, _LINEAR_ROOM = 1.7, 0.3
 
 
 def draw_design(design: Design, picked: int | None = None) -> Figure:
