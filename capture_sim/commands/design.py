@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import dataclasses
-import io
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,6 +13,13 @@ from rich.console import Console
 
 from capture_sim.commands import FAILED, INTERRUPTED, OK
 from capture_sim.commands.compiling import compile_first
+from capture_sim.commands.design_report import (
+    outcome_of,
+    print_whole_run,
+    report_front,
+    write_design,
+    write_front,
+)
 from capture_sim.commands.inputs import (
     add_limits,
     add_out,
@@ -31,17 +36,12 @@ from capture_sim.commands.inputs import (
     whole,
 )
 from capture_sim.commands.output import (
-    Progress,
     drawing,
     echo,
     warn,
-    write_json,
-    write_text,
 )
 from capture_sim.errors import SceneError
 from capture_sim.interrupts import terminated_as_interrupted
-from capture_sim.recording.sweep_file import head_of
-from capture_sim.results import LOADS, implausible_stroke
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range
 from capture_sim.studies.candidates import (
@@ -57,24 +57,21 @@ from capture_sim.studies.design import (
     CANDIDATES_OF_AREA,
     MAX_ROWS,
     Design,
-    Row,
-    beaten_by,
     costs_of_limits,
     design_buffer,
 )
 from capture_sim.studies.executors import open_executor
 from capture_sim.studies.front import require_pymoo
-from capture_sim.studies.limit_costs import STEP, LimitCost
+from capture_sim.studies.limit_costs import LimitCost
 from capture_sim.studies.limits import (
     CAPTURE_RANGE,
-    LOAD_KEYS,
     Limit,
     Measure,
     make_limits,
     make_objectives,
     read_limits,
 )
-from capture_sim.studies.outcome import CAPTURED, Outcome, run_first_contact, run_to_end
+from capture_sim.studies.outcome import run_first_contact, run_to_end
 from capture_sim.studies.paper_flow import (
     FirstContactDesign,
     FirstContactTarget,
@@ -83,7 +80,6 @@ from capture_sim.studies.paper_flow import (
     with_buffer,
 )
 from capture_sim.studies.variables import FREE, TORSIONAL, make_variables
-from capture_sim.tables import print_table
 
 DESCRIPTION = (
     "Find the buffers that capture within limits and that no other buffer beats in all objectives: "
@@ -211,14 +207,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MRAD",
         help="set the target torsion of --first-contact, mrad or with a unit",
     )
-    parser.add_argument(
-        "--trade-off",
-        type=reader(_factors, "LOW:HIGH:N with 0 < LOW < HIGH and N from 2 to 100"),
-        default=(),
-        metavar="LOW:HIGH:N",
-        help="with --first-contact, also design for N axial strokes from LOW to HIGH times the "
-        "target, e.g. 0.3:3:9",
-    )
     parser.add_argument("-v", "--verbose", action="store_true", help="list every candidate buffer")
     add_workers(parser)
     add_out(parser, "runs/design")
@@ -274,8 +262,8 @@ def run(options: argparse.Namespace) -> int:
             costs = costs_of_limits(
                 design, design.rows[picked], seed=options.seed, executor=executor
             )
-    _report(design, picked, costs)
-    _keep(design, picked, costs, options)
+    report_front(design, picked, costs)
+    write_front(design, picked, costs, options.out, options.seed)
     if design.interrupted:
         warn(f"interrupted: {len(design.history)} buffers tried, written to {options.out}")
         return INTERRUPTED
@@ -323,10 +311,9 @@ def _check(options: argparse.Namespace) -> None:
             if value:
                 raise SceneError(f"{name}: must be given without --first-contact")
         return
-    for name, value in (*targets.items(), ("--trade-off", options.trade_off)):
+    for name, value in targets.items():
         if value:
-            limit = f"; use {name}-limit" if name in targets else ""
-            raise SceneError(f"{name}: must be given with --first-contact{limit}")
+            raise SceneError(f"{name}: must be given with --first-contact; use {name}-limit")
     of_draws = {"--confidence": options.confidence, "--draws": options.draws}
     of_draws["--correlate"] = options.correlate
     for name, value in of_draws.items():
@@ -426,257 +413,6 @@ def _trial_line(trial: Trial) -> str:
     )
 
 
-def _report(design: Design, picked: int | None, costs: Sequence[LimitCost]) -> None:
-    n_feasible = sum(each.feasible for each in design.history)
-    echo(f"{len(design.history)} buffers tried, {n_feasible} feasible")
-    if picked is None:
-        echo(f"no buffer found: {design.refusal}")
-        return
-    if len(design.rows) > 1:
-        echo(f"front of {len(design.front)} buffers; {_picked_text(design, picked)}\n")
-    _print_front(design)
-    _print_own(design)
-    row = design.rows[picked]
-    _print_buffer(design, row)
-    scene = design.scene_of(row.candidate)
-    _print_whole_run(scene, run_to_end(scene), design.requirements.limits)
-    check, requirements = row.check, design.requirements
-    if check is not None:
-        echo(
-            f"captured within the limits in {check.met} of {check.computed} new draws: "
-            f"probability {check.estimate:.4f}, 95 % interval {check.low:.4f} to {check.high:.4f}; "
-            f"{requirements.confidence:.4g} required"
-        )
-    _print_costs(costs, requirements.objectives)
-
-
-def _picked_text(design: Design, picked: int) -> str:
-    at_knee = "the knee, " if design.rows[picked].is_knee else ""
-    return f"{at_knee}row {picked + 1}, is picked"
-
-
-def _shown_measures(design: Design) -> list[Measure]:
-    """Return the objectives and the limited loads, each once."""
-    requirements = design.requirements
-    keys = [each.key for each in (*requirements.objectives, *requirements.limits)]
-    if requirements.area:
-        keys.append(CAPTURE_RANGE)
-    return [Measure(key) for key in dict.fromkeys(keys)]
-
-
-def _print_front(design: Design) -> None:
-    """Print the rows of the front, and the scene's own buffer below them."""
-    measures, variables = _shown_measures(design), design.variables
-    head = ["row"]
-    head += [f"{each.meaning}\n{each.load.shown_in}" for each in measures]
-    head += [f"{each.name.removeprefix('buffer.')}\n{each.unit}" for each in variables]
-
-    def cells(name: str, candidate: Candidate) -> list[str]:
-        loads = [_text_of(each, candidate) for each in measures]
-        return [name, *loads, *(f"{candidate.values[each.name]:.4g}" for each in variables)]
-
-    rows = [
-        cells(f"{number}{' knee' if row.is_knee and len(design.rows) > 1 else ''}", row.candidate)
-        for number, row in enumerate(design.rows, 1)
-    ]
-    print_table(head, [*rows, cells("own", design.own)])
-    if design.requirements.under is not None:
-        echo(f"loads: at {design.requirements.confidence:.4g} of {CHECK_DRAWS} new draws")
-
-
-def _text_of(measure: Measure, candidate: Candidate) -> str:
-    value = candidate.loads[measure.key]
-    if math.isnan(value):
-        return "-"
-    if measure.key == CAPTURE_RANGE:
-        return f"{value * 100.0:.1f} +- {candidate.range_error * 100.0:.1f}"
-    return measure.shown(value)
-
-
-def _print_own(design: Design) -> None:
-    """Print by how much the front beats the scene's own buffer."""
-    own = design.own
-    if own.verdict != CAPTURED:
-        echo(f"the scene's own buffer ends {own.verdict}")
-        return
-    excess = [each for each in design.requirements.limits if each.use(own.loads[each.key]) > 1.0]
-    if excess:
-        echo(f"the scene's own buffer exceeds {', '.join(limit.text for limit in excess)}")
-    parts = []
-    for objective, best in beaten_by(design):
-        value = own.loads[objective.key]
-        change = best / value - 1.0 if value else 0.0
-        parts.append(
-            f"{objective.meaning} {objective.shown(best)} {objective.load.shown_in} in place of "
-            f"{objective.shown(value)} ({change:+.1%})"
-        )
-    if parts:
-        others = ", the other objectives no worse" if len(design.rows) > 1 else ""
-        echo(f"against the scene's own buffer{others}: {'; '.join(parts)}")
-
-
-def _print_costs(costs: Sequence[LimitCost], objectives: Sequence[Measure]) -> None:
-    """Print what the active limits cost in the objectives."""
-    if not costs:
-        return
-    echo(f"\nactive limits, and the change of each objective with {STEP:.0%} more of them")
-    rows = [
-        [
-            f"{cost.limit.text}",
-            f"{cost.use:.1%}",
-            *(f"{change.value:+.2%} +- {change.deviation:.2%}" for change in cost.changes),
-        ]
-        for cost in costs
-    ]
-    print_table(["limit", "used", *(each.meaning for each in objectives)], rows)
-
-
-def _print_buffer(design: Design, row: Row) -> None:
-    values = dict(row.candidate.values)
-    rebound = design.scene_of(row.candidate).buffer.c_A_rebound
-    if rebound is not None:
-        values["buffer.c_A_rebound"] = rebound
-    units = {variable.name: variable.unit for variable in design.variables}
-    units["buffer.c_A_rebound"] = "N s/m"
-    echo(
-        ", ".join(
-            f"{name.removeprefix('buffer.')} = {value:.5g} {units[name]}"
-            for name, value in values.items()
-        )
-    )
-
-
-def _print_whole_run(scene: Scene, outcome: Outcome, limits: Sequence[Limit]) -> None:
-    echo(f"\nsimulation of the design: {_verdict(outcome)}, {outcome.reason}")
-    print_table(["whole run", "", "at s", "limit", "margin"], _load_rows(outcome, limits))
-    if text := implausible_stroke(scene, outcome.loads["max_axial_stroke_in"]):
-        warn(text)
-    if outcome.failure:
-        echo("the run stopped early: loads until then do not show that limits are kept")
-    if outcome.left_again:
-        echo("the tip leaves the capture zone again; a latch would hold it")
-
-
-def _verdict(outcome: Outcome) -> str:
-    return f"{outcome.verdict}, left again" if outcome.left_again else outcome.verdict
-
-
-def _load_rows(outcome: Outcome, limits: Sequence[Limit]) -> list[list[str]]:
-    """Return one row for each load of the design's whole run, with its limit."""
-    by_key, loads = {limit.key: limit for limit in limits}, outcome.loads
-    rows = [["verdict", _verdict(outcome), f"{outcome.t:.3f}", "captured"]]
-    for row_load in LOADS:
-        for key in (row_load.key, f"{row_load.key}_before_latch"):
-            value, limit = loads.get(key), by_key.get(key)
-            if not value or (limit is None and key != row_load.key):
-                continue
-            meaning = row_load.meaning if limit is None else limit.meaning
-            shown = f"{value * row_load.factor:.4g}"
-            cells = [f"{meaning}, {row_load.shown_in}", shown, f"{loads[f'{key}_time']:.3f}"]
-            if limit is not None:
-                cells += [limit.shown(limit.value), f"{1.0 - limit.use(value):+z.1%}"]
-            rows.append(cells)
-    return rows
-
-
-def _keep(
-    design: Design,
-    picked: int | None,
-    costs: Sequence[LimitCost],
-    options: argparse.Namespace,
-) -> None:
-    """Write the front, its rows as scenes, the picked one, and every candidate of the search."""
-    requirements = design.requirements
-    keys = [each.key for each in _shown_measures(design)]
-
-    def plain(candidate: Candidate) -> dict[str, Any]:
-        loads = {key: candidate.loads[key] for key in keys if key in candidate.loads}
-        return {
-            "values": dict(candidate.values),
-            "loads": {key: None if math.isnan(x) else x for key, x in loads.items()},
-            "verdict": candidate.verdict,
-            "violation": candidate.violation,
-            "share": candidate.share,
-        }
-
-    kept: dict[str, Any] = {"refusal": design.refusal, "seed": options.seed}
-    kept["objectives"] = [each.key for each in requirements.objectives]
-    kept["limits"] = {limit.key: limit.value for limit in requirements.limits}
-    kept["free"] = {each.name: [each.low, each.high] for each in design.variables}
-    if requirements.under is not None:
-        kept["under"] = {name: str(given) for name, given in requirements.under.vary.items()}
-        kept["confidence"] = requirements.confidence
-    if requirements.area:
-        kept["area"] = {axis.name: axis.values for axis in requirements.area}
-        kept["least_capture_range"] = requirements.least_range
-    outcome = None
-    if picked is not None:
-        row = design.rows[picked]
-        kept["picked"] = picked + 1
-        if row.check is not None:
-            kept["check"] = row.check._asdict()
-        outcome = run_to_end(design.scene_of(row.candidate))
-    kept |= _outcome_of(outcome)
-    kept["costs"] = [
-        {"limit": cost.limit.key, "use": cost.use, "changes": cost.changes} for cost in costs
-    ]
-    kept["own"] = plain(design.own)
-    kept["rows"] = [plain(row.candidate) for row in design.rows]
-    kept["history"] = [plain(candidate) for candidate in design.history]
-    for old in options.out.glob("design_[0-9][0-9].yaml"):
-        old.unlink()  # of an earlier design with more rows
-    if len(design.rows) > 1:
-        echo(f"front in {write_text(options.out / 'front.csv', _front_csv(design))}")
-        for number, row in enumerate(design.rows, 1):
-            named = _named(design.scene_of(row.candidate), f"_{number:02d}")
-            write_text(options.out / f"design_{number:02d}.yaml", named.to_yaml())
-        echo(f"rows in {options.out / 'design_01.yaml'} to design_{len(design.rows):02d}.yaml")
-    picked_scene = None if picked is None else design.scene_of(design.rows[picked].candidate)
-    _write(kept, picked_scene, options.out)
-
-
-def _front_csv(design: Design) -> str:
-    """Return the front as CSV, units in the head: row in the table, free values, all loads, SI."""
-    numbers = {id(row.candidate): k for k, row in enumerate(design.rows, 1)}
-    keys = [*LOAD_KEYS, *([CAPTURE_RANGE] if design.requirements.area else [])]
-    head = ["row", "knee", *(head_of(each.name, each.unit) for each in design.variables)]
-    head += [head_of(key, Measure(key).load.unit.replace("1", "")) for key in keys]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    for candidate in design.front:
-        number = numbers.get(id(candidate), "")
-        is_knee = bool(number) and design.rows[int(number) - 1].is_knee
-        values = [candidate.values[each.name] for each in design.variables]
-        loads = ["" if math.isnan(x := candidate.loads[key]) else x for key in keys]
-        writer.writerow([number, "knee" if is_knee else "", *values, *loads])
-    return text.getvalue()
-
-
-def _outcome_of(outcome: Outcome | None) -> dict[str, Any]:
-    return {name: getattr(outcome, name, None) for name in ("verdict", "left_again", "loads")}
-
-
-def _write(kept: Mapping[str, Any], scene: Scene | None, folder: Path) -> None:
-    echo(f"every candidate in {write_json(folder / 'design.json', kept)}")
-    if scene is not None:
-        echo(f"scene in {write_text(folder / 'design.yaml', _named(scene).to_yaml())}")
-
-
-def _named(scene: Scene, number: str = "") -> Scene:
-    """Return a scene with a name of its own: both can be run into one folder and compared."""
-    name, title = f"{scene.name}_design{number}", f"{scene.title}; designed"
-    return dataclasses.replace(scene, name=name, title=title)
-
-
-def _factors(text: str) -> list[float]:
-    first, last, number = text.split(":")
-    low, high, count = float(first), float(last), int(number)
-    if not (0.0 < low < high < math.inf and 2 <= count <= 100):
-        raise ValueError(text)
-    return [low * (high / low) ** (n / (count - 1)) for n in range(count)]
-
-
 def _design_first_contact(scene: Scene, options: argparse.Namespace) -> int:
     """Design as in the paper; return the exit status."""
     prepare_folder(options.out)
@@ -695,32 +431,13 @@ def _design_first_contact(scene: Scene, options: argparse.Namespace) -> int:
         design = design_first_contact(scene, target, candidates.show)
     _report_first_contact(design)
     _keep_first_contact(design, options.out)
-    designs = _trade_off(scene, target, options.trade_off)
     with drawing():
         from capture_sim.viewing.canvas import save
-        from capture_sim.viewing.studies import draw_first_contact_design, draw_trade_off
+        from capture_sim.viewing.studies import draw_first_contact_design
 
         path = options.out / "design.png"
         echo(f"plot in {save(draw_first_contact_design(design), path)}")
-        if designs:
-            echo(f"trade-off in {save(draw_trade_off(designs), options.out / 'trade_off.png')}")
     return OK if design.met else FAILED
-
-
-def _trade_off(
-    scene: Scene, target: FirstContactTarget, factors: Sequence[float]
-) -> list[FirstContactDesign]:
-    """Return a design for each multiple of the target's axial stroke."""
-    designs = []
-    with Progress("designs") as progress:
-        for done, factor in enumerate(factors):
-            progress.at("trade-off", done, len(factors))
-            stroke = factor * target.axial_stroke
-            target_here = dataclasses.replace(target, axial_stroke=stroke)
-            designs.append(design_first_contact(scene, target_here))
-    for design in designs:
-        echo(_trade_off_line(design))
-    return designs
 
 
 def _report_first_contact(design: FirstContactDesign) -> None:
@@ -749,25 +466,13 @@ def _report_first_contact(design: FirstContactDesign) -> None:
         f"{energy.damper * 1e3:.2f} mJ and the touches {energy.contact * 1e3:.2f} mJ until the "
         "verdict"
     )
-    _print_whole_run(design.scene, design.outcome, design.target.limits)
+    print_whole_run(design.scene, design.outcome, design.target.limits)
     for limit in design.exceeded:
         echo(
             f"later contacts exceed the target: {limit.meaning} "
             f"{limit.shown(design.outcome.loads[limit.key])} {limit.load.shown_in}, must be at "
             f"most {limit.shown(limit.value)}; omit --first-contact to include them"
         )
-
-
-def _trade_off_line(design: FirstContactDesign) -> str:
-    stroke = f"{design.target.axial_stroke * 1e3:8.4g} mm"
-    if not design.met or design.scene is None or design.outcome is None:
-        return f"{stroke}  {design.refusal}"
-    b, loads = design.scene.buffer, design.outcome.loads
-    return (
-        f"{stroke}  k_A {b.k_A:8.4g}  k_T {b.k_T:8.4g}  c_A {b.c_A:7.3g}  whole run: touch "
-        f"{loads['max_normal_force']:.1f} N, buffer {loads['max_buffer_force']:.1f} N, "
-        f"{_verdict(design.outcome)}"
-    )
 
 
 def _keep_first_contact(design: FirstContactDesign, folder: Path) -> None:
@@ -779,6 +484,6 @@ def _keep_first_contact(design: FirstContactDesign, folder: Path) -> None:
 
     kept: dict[str, Any] = {"refusal": design.refusal}
     kept["target"] = dataclasses.asdict(design.target)
-    kept |= _outcome_of(design.outcome)
+    kept |= outcome_of(design.outcome)
     kept["history"] = [plain(trial) for trial in design.history]
-    _write(kept, design.scene if design.met else None, folder)
+    write_design(kept, design.scene if design.met else None, folder)

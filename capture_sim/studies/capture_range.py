@@ -69,7 +69,8 @@ def make_area(scene: Scene, texts: Sequence[str]) -> tuple[Axis, ...]:
     given: dict[str, str] = {}
     for text in texts:
         name, sign, values = (part.strip() for part in text.partition("="))
-        items = {name: values} if sign else AREAS.get(name)
+        full_name = name if name.startswith("approach.") else f"approach.{name}"
+        items = {full_name: values} if sign else AREAS.get(name)
         if items is None or set(items) & set(given):
             raise SceneError(
                 f"approach {text}: must be NAME=LOW:HIGH:COUNT, each name once, or "
@@ -78,9 +79,8 @@ def make_area(scene: Scene, texts: Sequence[str]) -> tuple[Axis, ...]:
         given |= items
     axes = []
     for name, text in given.items():
-        name = name if name.startswith("approach.") else f"approach.{name}"
         if name not in APPROACH:
-            raise SceneError(f"approach {name}: must be one of {', '.join(APPROACH)}")
+            raise SceneError(f"{name}: must be one of {', '.join(APPROACH)}")
         axis = make_axis(scene, name, text)
         if axis.distribution is not None or not _is_ascending(axis):
             raise SceneError(f"{name} = {text}: must be LOW:HIGH:COUNT with LOW < HIGH")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -43,14 +44,14 @@ def draw_design(design: Design, picked: int | None = None) -> Figure:
         _draw_pair(pair, design, Measure(key), objectives[0], picked)
         pair.legend(fontsize=11, loc="best")
         _draw_progress(progress, design)
-    figure.suptitle(_title(design), fontsize=14)
+    figure.suptitle(_title(design, int(9.0 * figure.get_figwidth())), fontsize=13)
     return figure
 
 
-def _title(design: Design) -> str:
+def _title(design: Design, width: int) -> str:
     limits = ", ".join(limit.text for limit in design.requirements.limits)
-    count = f"{len(design.history)} buffers"
-    return f"{design.scene.name}: {count}" + (f"; {limits}" if limits else "")
+    title = f"{design.scene.name}: {len(design.history)} buffers"
+    return "\n".join([title, *textwrap.wrap(f"limits: {limits}", width)]) if limits else title
 
 
 def _of(candidates: Sequence[Candidate], measure: Measure) -> np.ndarray:

@@ -88,59 +88,6 @@ def _draw_dampers(axes: Axes, design: FirstContactDesign) -> None:
         axes.legend(fontsize=12.5)
 
 
-def draw_trade_off(designs: Sequence[FirstContactDesign]) -> Figure:
-    """Return a figure of forces and of the buffer over axial stroke: one unit for each axis."""
-    figure, panels = subplots(16.0, 8.4, 2, 3, sharex=True)
-    normal, buffer, k_A, k_T, c_A, note = panels.flat
-    met = [design for design in designs if design.met]
-    stroke = [design.target.axial_stroke * 1e3 for design in met]
-
-    def draw(axes: Axes, values: list[float], colour: str) -> None:
-        axes.plot(stroke, values, "o-", color=colour)
-
-    whole_run = [
-        [design.outcome.loads[load] for design in met if design.outcome is not None]
-        for load in ("max_normal_force", "max_buffer_force")
-    ]
-    draw(normal, whole_run[0], style.DARK)
-    draw(buffer, whole_run[1], style.DARK)
-    first = [design.damped.peak_force for design in met if design.damped is not None]
-    draw(normal, first, style.GREY)
-    for axes, name, unit, title in (
-        (k_A, "k_A", "N/m", "Axial spring"),
-        (k_T, "k_T", "N m/rad", "Torsional spring"),
-        (c_A, "c_A", "N s/m", "Axial damper"),
-    ):
-        values = [getattr(d.scene.buffer, name) for d in met if d.scene is not None]
-        draw(axes, values, style.BLUE)
-        axes.set_ylabel(f"{name}  [{unit}]")
-        axes.set_title(title, fontsize=15)
-    low, high = np.array([d.capturing or (math.nan, math.nan) for d in met]).reshape(-1, 2).T
-    c_A.fill_between(stroke, low, high, color=style.GREEN, alpha=0.2, lw=0)
-    for axes, title in ((normal, "Peak normal force"), (buffer, "Peak force of the buffer")):
-        axes.set_ylabel("force  [N]")
-        axes.set_title(title, fontsize=15)
-    rejected = [d.target.axial_stroke * 1e3 for d in designs if not d.met]
-    for axes in (normal, buffer, k_A, k_T, c_A):
-        axes.set_ylim(0.0, 1.12 * axes.get_ylim()[1])
-        for place in rejected:
-            axes.axvline(place, color=style.GREY, ls=":", lw=1.5)
-        axes.set_xlabel("target axial stroke  [mm]")
-        axes.tick_params(labelbottom=True)
-    if met:
-        named: dict[str, Any] = {"fontsize": style.SMALL, "ha": "right"}
-        for loads, name in ((whole_run[0], "whole run"), (first, "first contact")):
-            at = stroke[-1], loads[-1]
-            normal.annotate(name, at, (0, 7), textcoords="offset points", **named)
-        buffer.text(stroke[-1], whole_run[1][0], "whole run", **named)
-        c_A.text(stroke[-1], 0.5 * (low + high)[-1], "captures", color=style.GREEN, **named)
-    note.set_axis_off()
-    if rejected:
-        text = "dotted: a target that no buffer meets"
-        note.text(0.5, 0.5, text, fontsize=style.FONT, ha="center", transform=note.transAxes)
-    return figure
-
-
 _BEFORE = 0.05  # share of the window that is shown before the first contact
 
 

@@ -74,7 +74,7 @@ def test_all_or_nothing_needs_no_runs():
         (["offset=normal(0, 1 mm)"], "must be LOW:HIGH:COUNT with LOW < HIGH"),
         (["offset"], "approach offset: must be NAME=LOW:HIGH:COUNT, each name once, or idss"),
         (["offset=-1 mm:1 mm:5", "offset=-1 mm:1 mm:3"], "each name once"),
-        (["mass=1:2:3"], "approach approach.mass: must be one of approach.angle"),
+        (["mass=1:2:3"], "approach.mass: must be one of approach.angle"),
         (["offset=-1 mm:1 mm:2"], "one must have 3 values or more"),
         (["idss", "offset=-1 mm:1 mm:5"], "must not vary with approach.offset"),
         (["idss", "speed=0.1:0.2:3"], "each name once"),
