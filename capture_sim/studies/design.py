@@ -284,7 +284,7 @@ class _Search:
 
     def confirmed(self, most: int) -> list[Candidate]:
         """Return the front of the best buffers at the tolerance of the scene."""
-        best = self._best(self.history)[:most]
+        best = self._best(most)
         return self._front(self._exact.alone([each.values for each in best]) if best else [])
 
     def robust(
@@ -350,11 +350,20 @@ class _Search:
             if number >= _PATIENCE and _growth(fronts[-1 - _PATIENCE], fronts[-1]) < _GROWTH:
                 return
 
-    def _best(self, candidates: Sequence[Candidate]) -> list[Candidate]:
-        """Return the feasible candidates, those of the front first."""
-        feasible = [each for each in candidates if each.feasible]
-        order = layers(costs_of(feasible, self._requirements.objectives))
-        return [feasible[k] for layer in order for k in sorted(layer.tolist())]
+    def _best(self, most: int) -> list[Candidate]:
+        """Return the best candidates: the front, the front without that, and so on.
+
+        Of a front that is too large, those that are spread over it.
+        """
+        feasible = [each for each in self.history if each.feasible]
+        points = costs_of(feasible, self._requirements.objectives)
+        chosen: list[int] = []
+        for layer in layers(points):
+            room = most - len(chosen)
+            if len(layer) > room:
+                layer = layer[rows_of(points[layer], room)] if room > 0 else layer[:0]
+            chosen += layer.tolist()
+        return [feasible[k] for k in chosen]
 
     def _front(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Return the front of the feasible candidates in the order of the first objective."""

@@ -60,7 +60,7 @@ def rows_of(points: np.ndarray, most: int, marked: Sequence[int] = ()) -> list[i
     They are in the order of the first objective.
     """
     scaled = _scaled(points)
-    chosen = list(dict.fromkeys([*scaled.argmin(axis=0).tolist(), *marked]))
+    chosen = list(dict.fromkeys([*marked, *scaled.argmin(axis=0).tolist()]))[:most]
     while len(chosen) < min(most, len(points)):
         distance = np.linalg.norm(scaled[:, None] - scaled[chosen], axis=2).min(axis=1)
         if distance.max() <= 0.0:

@@ -24,6 +24,7 @@ from capture_sim.studies.design import (
     undecided,
 )
 from capture_sim.studies.executors import InProcess, open_executor
+from capture_sim.studies.front import hypervolume
 from capture_sim.studies.limits import make_limits, make_objectives
 from capture_sim.studies.outcome import run_to_end
 from capture_sim.studies.variables import FREE, make_variables, with_values
@@ -73,10 +74,10 @@ def test_no_buffer_of_the_front_or_of_the_search_beats_another(design):
     for cost in costs:
         dominates = (costs <= cost).all(axis=1) & (costs < cost).any(axis=1)
         assert not dominates.any()
-    # the tolerance of both is the same here: nothing of the search is lost
+    # the tolerance of both is the same here: of the search, only what is between two is left out
     tried = costs_of(others, TRADED)
-    for cost in tried:
-        assert (costs <= cost).all(axis=1).any()
+    ideal, nadir = tried.min(axis=0), tried.max(axis=0)
+    assert hypervolume(costs, ideal, nadir) > 0.99 * hypervolume(tried, ideal, nadir)
 
 
 def test_the_own_buffer_is_beaten_by_what_is_said(servicer, design):
@@ -135,10 +136,11 @@ def test_an_objective_that_the_buffer_does_not_decide_is_said():
     assert "30 of 30" in undecided(constant, make_objectives(["max_normal_force"]))
 
 
-def test_the_search_ends_where_the_buffer_decides_nothing(servicer):
-    """The peak normal force is that of the first touch for every soft buffer."""
+def test_the_search_ends_where_the_buffer_decides_nothing():
+    """On this bench, the first touch has the peak normal force of a third of all buffers."""
+    scene = load_scene("tilt_0", ["run.t_end=4", "run.rtol=1e-6"])
     objectives = make_objectives(["max_normal_force"])
-    found = design_buffer(servicer, Requirements(objectives), candidates=300)
+    found = design_buffer(scene, Requirements(objectives), candidates=300)
     assert not found.met
     assert "peak normal force is not decided by the buffer" in found.refusal
     assert "loads that it decides: max_axial_stroke_in " in found.refusal
