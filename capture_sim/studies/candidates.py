@@ -328,10 +328,10 @@ class Evaluator:
         )
 
     def check(
-        self, candidates: Sequence[Candidate], stream: int, count: int = CHECK_DRAWS
+        self, candidates: Sequence[Candidate], stream: int, count: int | None = None
     ) -> list[tuple[Candidate, Probability]]:
         """Return candidates with their quantiles in new draws, and their share of success."""
-        draws = self.draws(count, stream)
+        draws = self.draws(count or CHECK_DRAWS, stream)
         loads, violations = self._run_draws([each.values for each in candidates], draws)
         required = math.ceil(self._requirements.confidence * len(draws))
         return [

@@ -274,6 +274,9 @@ class _Search:
         n_values = len(self._variables)
         n_first, population = min(_FIRST, most // 6), min(_POPULATION * n_values, most // 16)
         first = qmc.LatinHypercube(n_values, seed=self._seed).random(n_first)
+        if all(each.low <= self._own[each.name] <= each.high for each in self._variables):
+            # so that the front is no worse than the scene's own buffer
+            first[0] = [each.share(self._own[each.name]) for each in self._variables]
         generations = (most - n_first - min(_CONFIRMED, most // 10)) // population
         for number, candidates in enumerate(
             self._populations(self._coarse.alone, first, population, generations)

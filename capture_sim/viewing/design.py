@@ -128,7 +128,10 @@ def _set_scale(axes: Axes, name: str, measure: Measure, values: np.ndarray) -> N
     values = values[np.isfinite(values)]
     set_limits = axes.set_xlim if name == "x" else axes.set_ylim
     positive = values[values > 0.0]
-    if measure.sign < 0.0 or positive.size < values.size or not values.size:
+    if measure.key == CAPTURE_RANGE:
+        set_limits(-4.0, 104.0)
+        return
+    if positive.size < values.size or not values.size:
         width = max(float(np.ptp(values)) if values.size else 0.0, 1.0)
         low, high = (values.min(), values.max()) if values.size else (0.0, 1.0)
         set_limits(low - _LINEAR_ROOM * width, high + _LINEAR_ROOM * width)
