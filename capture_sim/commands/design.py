@@ -259,9 +259,12 @@ def run(options: argparse.Namespace) -> int:
             )
         picked = _picked(design, options.pick)
         if picked is not None and not design.interrupted:
-            costs = costs_of_limits(
-                design, design.rows[picked], seed=options.seed, executor=executor
-            )
+            try:
+                costs = costs_of_limits(
+                    design, design.rows[picked], seed=options.seed, executor=executor
+                )
+            except KeyboardInterrupt:
+                design = dataclasses.replace(design, interrupted=True)
     report_front(design, picked, costs)
     write_front(design, picked, costs, options.out, options.seed)
     if design.interrupted:

@@ -77,7 +77,9 @@ def _print_front(design: Design) -> None:
         for number, row in enumerate(design.rows, 1)
     ]
     print_table(head, [*rows, cells("own", design.own)])
-    if design.requirements.under is not None:
+    if design.requirements.under is not None and design.interrupted:
+        echo("loads: of the scene without dispersions, as the search was interrupted")
+    elif design.requirements.under is not None:
         echo(f"loads: at {design.requirements.confidence:.4g} of {CHECK_DRAWS} new draws")
 
 

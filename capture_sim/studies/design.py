@@ -75,7 +75,7 @@ class Design:
     rows: tuple[Row, ...]  # at most MAX_ROWS of the front; one with one objective
     own: Candidate  # the scene's own buffer
     refusal: str  # why there is no buffer; empty if there is one
-    interrupted: bool = False
+    interrupted: bool = False  # under dispersions, the front is then that of the scene alone
     history: tuple[Candidate, ...] = field(default=(), repr=False)  # in order
 
     @property
@@ -149,7 +149,11 @@ def design_buffer(
     except KeyboardInterrupt:
         interrupted = True
     if not refusal:
-        front = search.confirmed(min(_CONFIRMED, most // 10))
+        n_confirmed = min(_CONFIRMED, most // 10)
+        try:
+            front = search.confirmed(n_confirmed)
+        except KeyboardInterrupt:  # without these runs there would be no front
+            interrupted, front = True, search.confirmed(n_confirmed)
         checks = [None] * len(front)
     if front and requirements.under is not None and not interrupted:
         try:
@@ -164,7 +168,7 @@ def design_buffer(
         variables,
         tuple(front),
         _rows(front, checks, requirements.objectives),
-        search.own(),
+        search.own(with_draws=not interrupted),
         refusal,
         interrupted,
         tuple(search.history),
@@ -176,7 +180,7 @@ def _rows(
     checks: Sequence[Probability | None],
     objectives: Sequence[Measure],
 ) -> tuple[Row, ...]:
-    """Return the rows of a front; those that are checked with new draws are spread already."""
+    """Return the rows of a front with their checks."""
     if not front:
         return ()
     points = costs_of(front, objectives)
@@ -260,10 +264,10 @@ class _Search:
         """The candidates so far, in order."""
         return self._coarse.history
 
-    def own(self) -> Candidate:
+    def own(self, *, with_draws: bool) -> Candidate:
         """Return the scene's own buffer as a candidate."""
         found = self._exact.alone([self._own])
-        if self._requirements.under is not None:
+        if self._requirements.under is not None and with_draws:
             found = [each for each, _ in self._coarse.check(found, 1)]
         return found[0]
 
