@@ -1,22 +1,26 @@
-"""Designs over random scenes, each answer checked by runs that the design did not make.
+"""Designs checked by runs that the design did not make: fronts, and the paper's flow.
 
-    python -m benchmarks.design         # half an hour; --scenes 2 for a look
-    python -m benchmarks.design grid    # the requirements of one scene, five minutes
+    python -m benchmarks.design           # half an hour; --scenes 2 for a look
+    python -m benchmarks.design fronts    # six scenes against grids of 20^3, 10 minutes
 
-Writes the parts of docs/random_scenes.md and the figures.  A buffer for limits is compared with a
-grid of 20^3 buffers around it, and with the grid over the whole ranges where none was found.  A
-buffer for the strokes of the first contact is checked by runs at a tenth of the tolerance.
+Writes the parts of docs/random_scenes.md and the figures.  A front is compared with that of a grid
+of 20^3 buffers over the search ranges; the grids are kept.  A buffer for the strokes of the first
+contact is checked by runs at a tenth of the tolerance.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+import resource
+import time
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,28 +30,37 @@ from capture_sim.run.first_contact import first_cluster
 from capture_sim.scene.approach import Approach, placed
 from capture_sim.scene.launch_plan import travel_to_touch
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.design import FREE, OBJECTIVE, Design, Requirements, design_buffer
-from capture_sim.studies.executors import answers, open_executor
-from capture_sim.studies.limits import Limit, make_limits
+from capture_sim.studies.candidates import Candidate, Requirements
+from capture_sim.studies.design import costs_of, design_buffer
+from capture_sim.studies.executors import InProcess, answers, open_executor
+from capture_sim.studies.front import hypervolume, layers
+from capture_sim.studies.limits import (
+    LOAD_KEYS,
+    Limit,
+    Measure,
+    make_limits,
+    make_objectives,
+)
 from capture_sim.studies.outcome import run_first_contact, run_to_end
 from capture_sim.studies.paper_flow import (
     FirstContactTarget,
     design_first_contact,
     with_buffer,
 )
-from capture_sim.studies.sweep import Recipe, result_columns, run_rows
+from capture_sim.studies.sweep import RTOL, Recipe, result_columns, run_rows
+from capture_sim.studies.variables import FREE, make_variables
 from capture_sim.viewing.canvas import save
-from capture_sim.viewing.studies import draw_first_contact_design, draw_trade_off
+from capture_sim.viewing.studies import draw_first_contact_design
 
 SERVICER = DOCS.parent / "examples" / "servicer.yaml"
 #: Relative error of a stroke of the first contact that confirms a design.
 WITHIN = 0.02
-#: The grid around a design: buffers along each axis, and the largest deviation of each value.
-GRID, WIDTH = 20, 0.2
+#: Buffers along each axis of a grid.
+GRID = 20
+GRIDS = DOCS.parent / "build" / "design_grids"
+#: Most runs at the scene's tolerance after a search.
+N_CONFIRMED = 140
 _CHUNK = 100
-#: Runs of the grid are given up beyond this multiple of the design's force: no better buffer, and
-#: the least force of the grid is known if it is below.
-_SHOWN = 1.05
 _YES_OR_NO = {True: "yes", False: "**NO**"}
 
 
@@ -73,94 +86,182 @@ def random_scenes(count: int, seed: int) -> Iterator[tuple[Scene, float]]:
             number += 1
 
 
-def forces_within(
-    scene: Scene, limits: tuple[Limit, ...], buffers, executor, most: float = math.inf
+class Case(NamedTuple):
+    """A scene to design, its limits, and a scene's name for the table."""
+
+    name: str
+    scene: Scene
+    limits: tuple[Limit, ...] = ()
+
+
+def cases(asked: Namespace) -> list[Case]:
+    """Return the six scenes; tilt_p10 also with the torsion of its own buffer as the limit."""
+    names = ("tilt_0", "tilt_p10", "tilt_m10", "paper_designed")
+    found = [Case(name, load_scene(name)) for name in names]
+    found.append(Case("servicer", load_scene(SERVICER)))
+    found.append(Case("random", list(random_scenes(2, asked.seed))[1][0]))
+    found.insert(2, found[1]._replace(limits=make_limits({"max_torsion": 8.1e-3})))
+    return found
+
+
+def grid_of(case: Case, folder: Path) -> dict[str, np.ndarray]:
+    """Return the results of 20^3 buffers over the search ranges without limits, by column.
+
+    They are kept in a folder, in which a later call finds them.
+    """
+    path = folder / f"grid_{case.name}.npz"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        axes = [
+            np.geomspace(each.low, each.high, GRID).tolist()
+            for each in make_variables(case.scene, (), FREE)
+        ]
+        rows = list(itertools.product(*axes))
+        chunks = [rows[k : k + _CHUNK] for k in range(0, len(rows), _CHUNK)]
+        coarse = replace(case.scene, run=replace(case.scene.run, rtol=RTOL))
+        work = partial(run_rows, Recipe(coarse, FREE), False, ())
+        with open_executor() as executor:
+            done = [row for found in answers(executor, work, chunks) for row in found]
+        names = result_columns(check=False, limited=False)
+        columns = dict(zip(names, zip(*done, strict=True), strict=True))
+        kept = ("verdict", *LOAD_KEYS)
+        np.savez(path, **{name: np.array(columns[name]) for name in kept})
+    with np.load(path) as grid:
+        return {name: grid[name] for name in ("verdict", *LOAD_KEYS)}
+
+
+def front_of_grid(
+    grid: dict[str, np.ndarray], objectives: Sequence[Measure], limits: Sequence[Limit]
 ) -> np.ndarray:
-    """Return the peak force of each buffer, N; infinite where it exceeds ``most`` or a limit."""
-    rows = list(buffers)
-    chunks = [rows[k : k + _CHUNK] for k in range(0, len(rows), _CHUNK)]
-    ceilings = {**{limit.key: limit.value for limit in limits}, OBJECTIVE: most}
-    work = partial(run_rows, Recipe(scene, FREE), False, limits, ceilings=ceilings)
-    columns = result_columns(check=False, limited=True)
-    done = [row for found in answers(executor, work, chunks) for row in found]
-    by_name = dict(zip(columns, zip(*done, strict=True), strict=True))
-    is_good = np.array(by_name["verdict"]) == "captured"
-    is_good &= np.array(by_name["exceeded"]) == ""
-    return np.where(is_good, np.array(by_name["max_normal_force"], dtype=float), np.inf)
+    """Return the front of the buffers of a grid that capture within limits, (n, objectives)."""
+    is_good = grid["verdict"] == "captured"
+    for limit in limits:
+        is_good &= np.nan_to_num(grid[limit.key]) <= limit.value
+    points = np.array(
+        [[each.cost(x) for x in grid[each.key][is_good].tolist()] for each in objectives]
+    ).T
+    return points[layers(points)[0]]
 
 
-def grid_around(design: Design) -> Iterator[tuple[float, ...]]:
-    """Yield the buffers of the grid around a design, or over the whole ranges of a refusal."""
-    axes = []
-    for variable in design.variables:
-        if design.met:
-            ends = design.best.values[variable.name] * np.array([1.0 - WIDTH, 1.0 + WIDTH])
-            axes.append(np.linspace(*ends, GRID).tolist())
-        else:
-            axes.append(np.geomspace(variable.low, variable.high, GRID).tolist())
-    yield from itertools.product(*axes)
-
-
-def limits_row(name: str, scene: Scene, limits: tuple[Limit, ...], executor) -> tuple[bool, list]:
-    """Design within limits and compare with the grid; return whether it is confirmed, its row."""
-    design = design_buffer(scene, Requirements(limits), executor=executor)
-    most = _SHOWN * design.best.peak_force if design.met else math.inf
-    least = float(forces_within(scene, limits, grid_around(design), executor, most).min())
-    given = "; ".join(f"{limit.text}" for limit in limits if limit.key != "max_axial_stroke_out")
-    row = [name, given, str(len(design.history))]
-    if not design.met:
-        holds = math.isinf(least)
-        return holds, [*row, "none", "none" if holds else f"{least:.1f}", _YES_OR_NO[holds]]
-    finer = replace(design.scene, run=replace(scene.run, rtol=0.1 * scene.run.rtol))
-    outcome = run_to_end(finer)
-    kept = all(outcome.loads[limit.key] <= limit.value * 1.001 for limit in limits)
-    holds = outcome.captured and kept and design.best.peak_force <= least
-    values = ", ".join(f"{design.best.values[variable]:.4g}" for variable in FREE)
-    found = f"{design.best.peak_force:.2f} ({values})"
-    of_grid = f"{least:.2f}" if math.isfinite(least) else f"above {most:.1f}"
-    return holds, [*row, found, of_grid, _YES_OR_NO[holds]]
-
-
-def grid(_: Namespace, __: Path) -> list[str]:
-    """The servicer's design for several requirements, against grids of 20^3 buffers."""
-    scene = load_scene(SERVICER)
-    strokes = {"max_axial_stroke_in": 0.015, "max_axial_stroke_out": 0.015}
-    requirements = (
-        {**strokes, "max_torsion": 0.015},
-        {**strokes, "max_torsion": 0.03, OBJECTIVE: 345.0},
-        {"max_axial_stroke_in": 0.03, "max_buffer_force": 30.0},
-        {"max_axial_stroke_in": 0.01, "max_torsion_before_latch": 0.005},
+def beats(front: Sequence[Candidate], stroke_mm: float, force: float) -> bool:
+    """Return whether a buffer of a front is at least as good as a stroke and a force."""
+    return any(
+        each.loads["max_axial_stroke_in"] <= stroke_mm * 1e-3
+        and each.loads["max_buffer_force"] <= force
+        for each in front
     )
-    return _compared([("servicer.yaml", scene, make_limits(each)) for each in requirements])
 
 
-def limits(asked: Namespace, _: Path) -> list[str]:
-    """Designs within limits of random scenes, against grids of 20^3 buffers."""
-    cases = []
-    rng = np.random.default_rng(asked.seed + 1)
-    for number, (scene, speed) in enumerate(random_scenes(asked.scenes, asked.seed)):
-        stroke = 7.68e-3 * speed / 0.1 * math.exp(rng.uniform(math.log(0.5), math.log(2.2)))
-        torsion = 2.0e-3 * speed / 0.1 * math.exp(rng.uniform(math.log(0.3), math.log(3.0)))
-        given = {"max_axial_stroke_in": stroke, "max_axial_stroke_out": stroke}
-        given["max_torsion"] = torsion
-        if number % 5 == 4:
-            given["max_normal_force"] = 300.0 * (speed / 0.1) ** 1.2 * rng.uniform(0.7, 2.0)
-        kind = "supports" if scene.supports else "free"
-        cases.append((f"{number}, {kind}", scene, make_limits(given)))
-    return _compared(cases)
+def cpu_time() -> float:
+    """Return the CPU time of this process and of those that it has awaited, s."""
+    of_children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + of_children.ru_utime + of_children.ru_stime
 
 
-def _compared(cases: Sequence[tuple[str, Scene, tuple[Limit, ...]]]) -> list[str]:
-    rows, held = [], 0
-    with open_executor() as executor:
-        for case in cases:
-            holds, row = limits_row(*case, executor)
-            held += holds
-            rows.append(row)
-            print(" | ".join(row), flush=True)
-    head = ["scene", "limits", "buffers tried"]
-    head += ["least force N (k_A N/m, k_T N m/rad, c_A N s/m)", "least of the grid N", "confirmed"]
-    return [f"{held} of {len(cases)} answers are confirmed.", "", table(head, rows)]
+def fronts(asked: Namespace, _: Path) -> list[str]:
+    """Fronts of stroke inwards and buffer force of six scenes, against grids of 20^3 buffers."""
+    objectives = make_objectives(["max_axial_stroke_in", "max_buffer_force"])
+    rows, reached, n_rows, n_same = [], [], 0, 0
+    for case in cases(asked):
+        of_grid = front_of_grid(grid_of(case, asked.grids or GRIDS), objectives, case.limits)
+        began = cpu_time()
+        with open_executor(2) as executor:
+            design = design_buffer(
+                case.scene,
+                Requirements(objectives, case.limits),
+                seed=asked.search_seed,
+                executor=executor,
+            )
+        seconds = cpu_time() - began
+        found = costs_of(design.front, objectives)
+        ideal, nadir = of_grid.min(axis=0), of_grid.max(axis=0)
+        nadir = nadir + 0.1 * (nadir - ideal)
+        share = hypervolume(found, ideal, nadir) / hypervolume(of_grid, ideal, nadir)
+        for row in design.rows:
+            loads = run_to_end(design.scene_of(row.candidate)).loads
+            n_rows += 1
+            n_same += all(loads[each.key] == row.candidate.loads[each.key] for each in objectives)
+        limit = "; ".join(each.text for each in case.limits)
+        n_runs = len(design.history) + N_CONFIRMED
+        row = [case.name, limit, str(len(of_grid)), str(len(design.front))]
+        rows.append([*row, f"{share:.3f}", f"<= {n_runs}", f"{seconds:.1f}"])
+        print(" | ".join(rows[-1]), flush=True)
+        if case.name == "tilt_p10":
+            targets = [(7.7, 3.15)] if case.limits else [(7.4, 3.05), (3.3, 3.65)]
+            reached += [
+                f"({stroke:g} mm, {force:g} N{', within the torsion' if limit else ''}): "
+                f"{_YES_OR_NO[beats(design.front, stroke, force)]}"
+                for stroke, force in targets
+            ]
+    head = ["scene", "limits", "front of the grid", "front", "share of the hypervolume"]
+    return [
+        f"{n_same} of {n_rows} rows run to their figures, exactly. tilt_p10 has a buffer at least "
+        f"as good as {'; '.join(reached)}.",
+        "",
+        table([*head, "runs", "CPU s"], rows),
+    ]
+
+
+def objectives(asked: Namespace, _: Path) -> list[str]:
+    """What different objectives trade, by the grids: within the own strokes and torsion."""
+    pairs = [
+        ("max_buffer_force", "max_buffer_torque"),
+        ("max_buffer_force", "max_normal_force"),
+        ("max_buffer_force", "max_axial_stroke_in"),
+    ]
+    rows = []
+    for case in cases(asked):
+        if case.limits:
+            continue
+        loads, grid = run_to_end(case.scene).loads, grid_of(case, asked.grids or GRIDS)
+        stroke = max(loads["max_axial_stroke_in"], loads["max_axial_stroke_out"])
+        own = {"max_axial_stroke_in": stroke, "max_axial_stroke_out": stroke}
+        limits = make_limits({**own, "max_torsion": loads["max_torsion"]})
+        is_good = grid["verdict"] == "captured"
+        for limit in limits:
+            is_good &= np.nan_to_num(grid[limit.key]) <= limit.value
+        peaks = grid["max_normal_force"][is_good]
+        row = [case.name, f"{(peaks <= 1.01 * peaks.min()).mean():.1%}"]
+        force = grid["max_buffer_force"][is_good]
+        row.append(f"{(force <= 1.01 * force.min()).mean():.1%}")
+        row.append(f"{force.min() / loads['max_buffer_force'] - 1.0:+.0%}")
+        for pair in pairs:
+            front = front_of_grid(grid, make_objectives(pair), limits)
+            row.append(" and ".join(f"{x:.2f}" for x in np.exp(np.ptp(front, axis=0))))
+        rows.append(row)
+    head = [
+        "scene",
+        "buffers within 1 % of the least peak normal force",
+        "... of the least buffer force",
+    ]
+    head += ["least buffer force against the own"]
+    head += ["force and torque: largest / least", "force and peak normal force", "force and stroke"]
+    return [table(head, rows)]
+
+
+def same(_: Namespace, __: Path) -> list[str]:
+    """One seed, in one process, in two, and on a Dask cluster: the same front."""
+    from distributed import LocalCluster
+
+    scene = load_scene("tilt_p10")
+    traded = make_objectives(["max_axial_stroke_in", "max_buffer_force"])
+
+    def front(executor: Executor) -> tuple[Candidate, ...]:
+        return design_buffer(scene, Requirements(traded), candidates=200, executor=executor).front
+
+    here = front(InProcess())
+    with open_executor(2) as processes:
+        in_two = front(processes)
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        open_executor(scheduler=cluster.scheduler_address) as dask,
+    ):
+        on_dask = front(dask)
+    equal = here == in_two == on_dask
+    return [
+        f"One process, two processes and a Dask cluster of two workers give the same front of "
+        f"{len(here)} buffers: {_YES_OR_NO[equal]}."
+    ]
 
 
 def strokes_off(scene: Scene, target: FirstContactTarget) -> float:
@@ -215,11 +316,6 @@ def paper(asked: Namespace, _: Path) -> list[str]:
     assert design.energy is not None
     if not asked.dry:
         save(draw_first_contact_design(design), DOCS / "design" / "design.png")
-        strokes = [
-            design_first_contact(scene, replace(target, axial_stroke=factor * own.axial_stroke))
-            for factor in np.geomspace(0.3, 3.0, 9).tolist()
-        ]
-        save(draw_trade_off(strokes), DOCS / "design" / "trade_off.png")
     b, (low, high), energy = design.scene.buffer, design.capturing, design.energy
     springs = sum(trial.verdict is None for trial in design.history)
     return [
@@ -238,8 +334,16 @@ if __name__ == "__main__":
     write_parts(
         "random_scenes",
         __doc__,
-        {"paper": paper, "grid": grid, "limits": limits, "first_contact": first_contact},
+        {
+            "paper": paper,
+            "fronts": fronts,
+            "objectives": objectives,
+            "same": same,
+            "first_contact": first_contact,
+        },
         scenes=(8, "random scenes"),
-        untimed=("paper", "grid", "limits", "first_contact"),
+        untimed=("paper", "objectives", "same", "first_contact"),
         seed=(7, "of the random scenes"),
+        search_seed=(1, "of the searches"),
+        grids=(None, "folder that keeps the grids (build/design_grids)"),
     )

@@ -5,15 +5,22 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
 from rich.console import Console
 
-from capture_sim.base.exit_status import FAILED, OK
-from capture_sim.base.tables import print_table
+from capture_sim.base.exit_status import FAILED, INTERRUPTED, OK
+from capture_sim.base.interrupts import terminated_as_interrupted
 from capture_sim.commands.compiling import compile_first
+from capture_sim.commands.design_report import (
+    outcome_of,
+    print_whole_run,
+    report_front,
+    write_design,
+    write_front,
+)
 from capture_sim.commands.inputs import (
     add_limits,
     add_out,
@@ -30,31 +37,41 @@ from capture_sim.commands.inputs import (
     whole,
 )
 from capture_sim.commands.output import (
-    Progress,
     drawing,
     echo,
     warn,
-    write_json,
-    write_text,
 )
 from capture_sim.errors import SceneError
-from capture_sim.run.loads import LOADS, implausible_stroke
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range
-from capture_sim.studies.design import (
+from capture_sim.studies.candidates import (
     CHECK_DRAWS,
     DRAWS,
-    FREE,
     Candidate,
-    Design,
     Dispersions,
     Requirements,
+)
+from capture_sim.studies.capture_range import AREAS, make_area
+from capture_sim.studies.design import (
+    CANDIDATES,
+    CANDIDATES_OF_AREA,
+    MAX_ROWS,
+    Design,
+    costs_of_limits,
     design_buffer,
-    make_variables,
 )
 from capture_sim.studies.executors import open_executor
-from capture_sim.studies.limits import Limit, make_limits, read_limits
-from capture_sim.studies.outcome import Outcome, run_first_contact, run_to_end
+from capture_sim.studies.front import require_pymoo
+from capture_sim.studies.limit_costs import LimitCost
+from capture_sim.studies.limits import (
+    CAPTURE_RANGE,
+    Limit,
+    Measure,
+    make_limits,
+    make_objectives,
+    read_limits,
+)
+from capture_sim.studies.outcome import run_first_contact, run_to_end
 from capture_sim.studies.paper_flow import (
     FirstContactDesign,
     FirstContactTarget,
@@ -62,23 +79,66 @@ from capture_sim.studies.paper_flow import (
     design_first_contact,
     with_buffer,
 )
+from capture_sim.studies.variables import FREE, TORSIONAL, make_variables
 
 DESCRIPTION = (
-    "Find the buffer that captures within limits with the least peak force. If none does, print "
-    "the buffer that comes closest among the ones tried (exit status 1). Limits apply to the "
-    "whole run, including the latched phase. Without limits, the strokes of the scene's own "
-    "buffer are the limits. With --first-contact, design as in the paper: for strokes of the "
-    "first contact."
+    "Find the buffers that capture within limits and that no other buffer beats in all objectives: "
+    "one buffer for one objective, the front for two or three. Each row of the table over the "
+    "front is also a scene. If no buffer captures within the limits, print the one that comes "
+    "closest among the ones tried (exit status 1). Limits apply to the whole run, including the "
+    "latched phase. Without limits and objectives, the strokes of the scene's own buffer are the "
+    "limits. With --first-contact, design as in the paper: for strokes of the first contact."
 )
 EXAMPLE = """\
-  capture-sim design paper_designed --stroke-limit 7.5 --torsion-limit 2
-  capture-sim design tilt_0 --stroke-limit 10 --limit max_buffer_force=8 \\
-    --free buffer.k_A,buffer.c_A,buffer.preload --under dispersions.yaml"""
+  capture-sim design tilt_p10 --minimize max_axial_stroke_in,max_buffer_force --torsion-limit 8
+  capture-sim design tilt_0 --stroke-limit 10 --minimize max_buffer_force \\
+    --free buffer.k_A,buffer.c_A,buffer.preload --under dispersions.yaml
+  capture-sim design tilt_0 --stroke-limit 10 --minimize max_buffer_force \\
+    --maximize capture_range --approach mouth_offset='-60 mm:60 mm:9'"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_scene(parser, "paper_designed")
+    parser.add_argument(
+        "--minimize",
+        action="append",
+        default=[],
+        metavar="LOAD[,LOAD[,LOAD]]",
+        help="minimise these loads of results.json, of the whole run or with _before_latch "
+        "(default: max_buffer_force, and max_buffer_torque where torsion is free)",
+    )
+    parser.add_argument(
+        "--maximize",
+        action="append",
+        default=[],
+        metavar=CAPTURE_RANGE,
+        help="maximise the share of the area of --approach that is captured within the limits",
+    )
+    parser.add_argument(
+        "--approach",
+        action="append",
+        default=[],
+        metavar="NAME=LOW:HIGH:COUNT",
+        help="set the area of the capture range: angle, offset, mouth_offset or speed over a grid, "
+        f"e.g. offset='-40 mm:40 mm:9'; or {', '.join(AREAS)}, the initial contact conditions of "
+        "that docking standard. May be repeated",
+    )
+    parser.add_argument(
+        "--capture-range",
+        type=number(Range(0.0, 1.0, low_open=True)),
+        default=0.0,
+        metavar="SHARE",
+        help="require that this share of the area of --approach is captured within the limits",
+    )
+    parser.add_argument(
+        "--pick",
+        type=reader(_pick, f"knee, or the number of a row, 1 to {MAX_ROWS}"),
+        default="knee",
+        metavar="knee|N",
+        help="write this row of the front as design.yaml (default: knee, the row farthest below "
+        "the line between both ends of the front on logarithmic axes)",
+    )
     parser.add_argument(
         "--stroke-limit",
         type=in_unit("mm"),
@@ -106,6 +166,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="search these values, e.g. buffer.k_A,buffer.c_A=5:50,buffer.preload; may be repeated "
         f"(default: {','.join(FREE)}). buffer.c_A_rebound keeps its ratio to buffer.c_A unless it "
         "is free",
+    )
+    parser.add_argument(
+        "--candidates",
+        type=whole(Range(100, 1_000_000)),
+        metavar="N",
+        help=f"try at most N buffers before those under dispersions (default: {CANDIDATES}, or "
+        f"{CANDIDATES_OF_AREA} with --approach)",
     )
     add_seed(parser, "the search and of the draws")
     add_under(parser, "require the limits under the distributions of this YAML file")
@@ -140,14 +207,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MRAD",
         help="set the target torsion of --first-contact, mrad or with a unit",
     )
-    parser.add_argument(
-        "--trade-off",
-        type=reader(_factors, "LOW:HIGH:N with 0 < LOW < HIGH and N from 2 to 100"),
-        default=(),
-        metavar="LOW:HIGH:N",
-        help="with --first-contact, also design for N axial strokes from LOW to HIGH times the "
-        "target, e.g. 0.3:3:9",
-    )
     parser.add_argument("-v", "--verbose", action="store_true", help="list every candidate buffer")
     add_workers(parser)
     add_out(parser, "runs/design")
@@ -160,36 +219,83 @@ def run(options: argparse.Namespace) -> int:
     if options.first_contact:
         return _design_first_contact(scene, options)
     free = [name for text in options.free for name in text.split(",")] or list(FREE)
-    under = None
-    if options.under is not None:
-        under = Dispersions(*dispersions(options))
-    given = _limits(options)
+    under = Dispersions(*dispersions(options)) if options.under is not None else None
+    given, objectives = _limits(options), _objectives(options, free)
+    area = make_area(scene, options.approach)
+    requirements = Requirements(
+        objectives,
+        given,
+        under,
+        options.confidence or 0.95,
+        options.draws or DRAWS,
+        area,
+        options.capture_range,
+    )
     make_variables(scene, given, free)  # before anything runs
+    require_pymoo()
     prepare_folder(options.out)
     compile_first()
-    limits = given or _own_limits(scene)
-    requirements = Requirements(limits, under, options.confidence or 0.95, options.draws or DRAWS)
-    echo(f"limits: {', '.join(limit.text for limit in limits)}")
+    if not (given or options.minimize or options.maximize):
+        requirements = dataclasses.replace(requirements, limits=_own_limits(scene))
+    echo(f"objectives: {', '.join(each.meaning for each in objectives)}")
+    limits = [limit.text for limit in requirements.limits]
+    if options.capture_range:
+        limits.append(f"capture range >= {options.capture_range:.4g}")
+    echo(f"limits: {', '.join(limits) or 'none'}")
+    costs: tuple[LimitCost, ...] = ()
     with (
+        terminated_as_interrupted(),
         open_executor(options.workers, options.scheduler) as executor,
-        _Candidates(_candidate_line, verbose=options.verbose) as candidates,
     ):
-        design = design_buffer(
-            scene,
-            requirements,
-            free,
-            seed=options.seed,
-            executor=executor,
-            report=candidates.show,
-        )
-    _report(design)
-    _keep(design, options)
+        with _Candidates(_line_of(objectives), verbose=options.verbose) as candidates:
+            design = design_buffer(
+                scene,
+                requirements,
+                free,
+                candidates=options.candidates,
+                seed=options.seed,
+                executor=executor,
+                report=candidates.show,
+            )
+        picked = _picked(design, options.pick)
+        if picked is not None and not design.interrupted:
+            try:
+                costs = costs_of_limits(
+                    design, design.rows[picked], seed=options.seed, executor=executor
+                )
+            except KeyboardInterrupt:
+                design = dataclasses.replace(design, interrupted=True)
+    report_front(design, picked, costs)
+    write_front(design, picked, costs, options.out, options.seed)
+    if design.interrupted:
+        warn(f"interrupted: {len(design.history)} buffers tried, written to {options.out}")
+        return INTERRUPTED
     with drawing():
         from capture_sim.viewing.canvas import save
-        from capture_sim.viewing.studies import draw_design
+        from capture_sim.viewing.design import draw_design
 
-        echo(f"plot in {save(draw_design(design), options.out / 'design.png')}")
+        echo(f"plot in {save(draw_design(design, picked), options.out / 'design.png')}")
     return OK if design.met else FAILED
+
+
+def _pick(text: str) -> int | str:
+    if text == "knee":
+        return text
+    if not (text.isascii() and text.isdecimal() and 1 <= int(text) <= MAX_ROWS):
+        raise ValueError(text)
+    return int(text)
+
+
+def _picked(design: Design, pick: int | str) -> int | None:
+    """Return the index of the row that is picked; None without a buffer."""
+    if not design.rows:
+        return None
+    if isinstance(pick, str):
+        return design.knee
+    if pick > len(design.rows):
+        warn(f"--pick {pick}: must be knee or 1 to {len(design.rows)}; the knee is picked")
+        return design.knee
+    return pick - 1
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -201,20 +307,31 @@ def _check(options: argparse.Namespace) -> None:
         others = {"--stroke-limit": options.stroke_limit, "--torsion-limit": options.torsion_limit}
         others |= {"--limit": options.limits, "--free": options.free, "--under": options.under}
         others |= {"--confidence": options.confidence, "--correlate": options.correlate}
-        others |= {"--draws": options.draws}
+        others |= {"--draws": options.draws, "--minimize": options.minimize}
+        others |= {"--maximize": options.maximize, "--approach": options.approach}
+        others |= {"--capture-range": options.capture_range, "--candidates": options.candidates}
         for name, value in others.items():
             if value:
                 raise SceneError(f"{name}: must be given without --first-contact")
         return
-    for name, value in (*targets.items(), ("--trade-off", options.trade_off)):
+    for name, value in targets.items():
         if value:
-            limit = f"; use {name}-limit" if name in targets else ""
-            raise SceneError(f"{name}: must be given with --first-contact{limit}")
+            raise SceneError(f"{name}: must be given with --first-contact; use {name}-limit")
     of_draws = {"--confidence": options.confidence, "--draws": options.draws}
     of_draws["--correlate"] = options.correlate
     for name, value in of_draws.items():
         if value and options.under is None:
             raise SceneError(f"{name}: must be given with --under")
+
+
+def _objectives(options: argparse.Namespace, free: Sequence[str]) -> tuple[Measure, ...]:
+    """Return the objectives that are given, or what the buffer transmits."""
+    least = [name.strip() for text in options.minimize for name in text.split(",")]
+    if not (least or options.maximize):
+        least = ["max_buffer_force"]
+        if any(text.partition("=")[0].strip() in TORSIONAL for text in free):
+            least.append("max_buffer_torque")
+    return make_objectives(least, options.maximize)
 
 
 def _limits(options: argparse.Namespace) -> tuple[Limit, ...]:
@@ -276,14 +393,19 @@ class _Candidates:
             self._status.update(f"candidate {line.strip()}")
 
 
-def _candidate_line(candidate: Candidate) -> str:
-    values = "  ".join(
-        f"{name.rpartition('.')[2]} {value:9.5g}" for name, value in candidate.values.items()
-    )
-    return (
-        f"{values}  {candidate.peak_force:8.1f} N  {candidate.verdict}"
-        f"{'' if candidate.feasible else f', violates the limits by {candidate.violation:.3g}'}"
-    )
+def _line_of(objectives: Sequence[Measure]) -> Callable[[Candidate], str]:
+    def line(candidate: Candidate) -> str:
+        values = "  ".join(
+            f"{name.rpartition('.')[2]} {value:9.5g}" for name, value in candidate.values.items()
+        )
+        loads = "  ".join(
+            f"{each.shown(candidate.loads[each.key]):>8} {each.load.shown_in}"
+            for each in objectives
+        )
+        violates = "" if candidate.feasible else f", violates by {candidate.violation:.3g}"
+        return f"{values}  {loads}  {candidate.verdict}{violates}"
+
+    return line
 
 
 def _trial_line(trial: Trial) -> str:
@@ -292,111 +414,6 @@ def _trial_line(trial: Trial) -> str:
         f"{trial.axial_stroke * 1e3:8.4f} mm  {trial.torsion * 1e3:8.4f} mrad"
         f"{'' if trial.verdict is None else f'  {trial.verdict}'}"
     )
-
-
-def _report(design: Design) -> None:
-    echo(f"{len(design.history)} buffers tried")
-    if not design.met:
-        echo(f"no buffer found: {design.refusal}")
-    if design.best.feasible:
-        _print_buffer(design)
-        _print_whole_run(design.scene, design.outcome, design.requirements.limits)
-    check, requirements = design.check, design.requirements
-    if check is not None and design.best.share is not None:
-        echo(
-            f"captured within the limits in {design.best.share:.1%} of the draws of the search, "
-            f"and in {check.met} of {check.computed} new draws: probability "
-            f"{check.estimate:.4f}, 95 % interval {check.low:.4f} to {check.high:.4f}; "
-            f"{requirements.confidence:.4g} required"
-        )
-
-
-def _print_buffer(design: Design) -> None:
-    values = dict(design.best.values)
-    rebound = design.scene.buffer.c_A_rebound
-    if rebound is not None:
-        values["buffer.c_A_rebound"] = rebound
-    units = {variable.name: variable.unit for variable in design.variables}
-    units["buffer.c_A_rebound"] = "N s/m"
-    echo(
-        ", ".join(
-            f"{name.removeprefix('buffer.')} = {value:.5g} {units[name]}"
-            for name, value in values.items()
-        )
-    )
-
-
-def _print_whole_run(scene: Scene, outcome: Outcome, limits: Sequence[Limit]) -> None:
-    echo(f"\nsimulation of the design: {_verdict(outcome)}, {outcome.reason}")
-    print_table(["whole run", "", "at s", "limit", "margin"], _load_rows(outcome, limits))
-    if text := implausible_stroke(scene, outcome.loads["max_axial_stroke_in"]):
-        warn(text)
-    if outcome.failure:
-        echo("the run stopped early: loads until then do not show that limits are kept")
-    if outcome.left_again:
-        echo("the tip leaves the capture zone again; a latch would hold it")
-
-
-def _verdict(outcome: Outcome) -> str:
-    return f"{outcome.verdict}, left again" if outcome.left_again else outcome.verdict
-
-
-def _load_rows(outcome: Outcome, limits: Sequence[Limit]) -> list[list[str]]:
-    """Return one row for each load of the design's whole run, with its limit."""
-    by_key, loads = {limit.key: limit for limit in limits}, outcome.loads
-    rows = [["verdict", _verdict(outcome), f"{outcome.t:.3f}", "captured"]]
-    for row_load in LOADS:
-        for key in (row_load.key, f"{row_load.key}_before_latch"):
-            value, limit = loads.get(key), by_key.get(key)
-            if not value or (limit is None and key != row_load.key):
-                continue
-            meaning = row_load.meaning if limit is None else limit.meaning
-            shown = f"{value * row_load.factor:.4g}"
-            cells = [f"{meaning}, {row_load.shown_in}", shown, f"{loads[f'{key}_time']:.3f}"]
-            if limit is not None:
-                cells += [limit.shown(limit.value), f"{1.0 - limit.use(value):+z.1%}"]
-            rows.append(cells)
-    return rows
-
-
-def _keep(design: Design, options: argparse.Namespace) -> None:
-    """Write the scene with the designed buffer, and every candidate of the search."""
-    requirements = design.requirements
-    kept: dict[str, Any] = {"refusal": design.refusal, "seed": options.seed}
-    kept["limits"] = {limit.key: limit.value for limit in requirements.limits}
-    kept["free"] = {each.name: [each.low, each.high] for each in design.variables}
-    if requirements.under is not None:
-        kept["under"] = {name: str(given) for name, given in requirements.under.vary.items()}
-        kept["confidence"] = requirements.confidence
-    if design.check is not None:
-        kept["check"] = design.check._asdict()
-    kept |= _outcome_of(design.outcome)
-    kept["history"] = [
-        {**dataclasses.asdict(candidate), "values": dict(candidate.values)}
-        for candidate in design.history
-    ]
-    _write(kept, design.scene if design.best.feasible else None, options.out)
-
-
-def _outcome_of(outcome: Outcome | None) -> dict[str, Any]:
-    return {name: getattr(outcome, name, None) for name in ("verdict", "left_again", "loads")}
-
-
-def _write(kept: Mapping[str, Any], scene: Scene | None, folder: Path) -> None:
-    echo(f"every candidate in {write_json(folder / 'design.json', kept)}")
-    if scene is not None:
-        # a name of its own: both can be run into one folder and compared
-        name, title = f"{scene.name}_design", f"{scene.title}; designed"
-        scene = dataclasses.replace(scene, name=name, title=title)
-        echo(f"scene in {write_text(folder / 'design.yaml', scene.to_yaml())}")
-
-
-def _factors(text: str) -> list[float]:
-    first, last, number = text.split(":")
-    low, high, count = float(first), float(last), int(number)
-    if not (0.0 < low < high < math.inf and 2 <= count <= 100):
-        raise ValueError(text)
-    return [low * (high / low) ** (n / (count - 1)) for n in range(count)]
 
 
 def _design_first_contact(scene: Scene, options: argparse.Namespace) -> int:
@@ -417,32 +434,13 @@ def _design_first_contact(scene: Scene, options: argparse.Namespace) -> int:
         design = design_first_contact(scene, target, candidates.show)
     _report_first_contact(design)
     _keep_first_contact(design, options.out)
-    designs = _trade_off(scene, target, options.trade_off)
     with drawing():
         from capture_sim.viewing.canvas import save
-        from capture_sim.viewing.studies import draw_first_contact_design, draw_trade_off
+        from capture_sim.viewing.studies import draw_first_contact_design
 
         path = options.out / "design.png"
         echo(f"plot in {save(draw_first_contact_design(design), path)}")
-        if designs:
-            echo(f"trade-off in {save(draw_trade_off(designs), options.out / 'trade_off.png')}")
     return OK if design.met else FAILED
-
-
-def _trade_off(
-    scene: Scene, target: FirstContactTarget, factors: Sequence[float]
-) -> list[FirstContactDesign]:
-    """Return a design for each multiple of the target's axial stroke."""
-    designs = []
-    with Progress("designs") as progress:
-        for done, factor in enumerate(factors):
-            progress.at("trade-off", done, len(factors))
-            stroke = factor * target.axial_stroke
-            target_here = dataclasses.replace(target, axial_stroke=stroke)
-            designs.append(design_first_contact(scene, target_here))
-    for design in designs:
-        echo(_trade_off_line(design))
-    return designs
 
 
 def _report_first_contact(design: FirstContactDesign) -> None:
@@ -471,25 +469,13 @@ def _report_first_contact(design: FirstContactDesign) -> None:
         f"{energy.damper * 1e3:.2f} mJ and the touches {energy.contact * 1e3:.2f} mJ until the "
         "verdict"
     )
-    _print_whole_run(design.scene, design.outcome, design.target.limits)
+    print_whole_run(design.scene, design.outcome, design.target.limits)
     for limit in design.exceeded:
         echo(
             f"later contacts exceed the target: {limit.meaning} "
             f"{limit.shown(design.outcome.loads[limit.key])} {limit.load.shown_in}, must be at "
             f"most {limit.shown(limit.value)}; omit --first-contact to include them"
         )
-
-
-def _trade_off_line(design: FirstContactDesign) -> str:
-    stroke = f"{design.target.axial_stroke * 1e3:8.4g} mm"
-    if not design.met or design.scene is None or design.outcome is None:
-        return f"{stroke}  {design.refusal}"
-    b, loads = design.scene.buffer, design.outcome.loads
-    return (
-        f"{stroke}  k_A {b.k_A:8.4g}  k_T {b.k_T:8.4g}  c_A {b.c_A:7.3g}  whole run: touch "
-        f"{loads['max_normal_force']:.1f} N, buffer {loads['max_buffer_force']:.1f} N, "
-        f"{_verdict(design.outcome)}"
-    )
 
 
 def _keep_first_contact(design: FirstContactDesign, folder: Path) -> None:
@@ -501,6 +487,6 @@ def _keep_first_contact(design: FirstContactDesign, folder: Path) -> None:
 
     kept: dict[str, Any] = {"refusal": design.refusal}
     kept["target"] = dataclasses.asdict(design.target)
-    kept |= _outcome_of(design.outcome)
+    kept |= outcome_of(design.outcome)
     kept["history"] = [plain(trial) for trial in design.history]
-    _write(kept, design.scene if design.met else None, folder)
+    write_design(kept, design.scene if design.met else None, folder)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,7 @@ from capture_sim.recording.sweep_file import check_format, read_cases, write_swe
 from capture_sim.run.loads import LOADS, implausible_stroke, plausible_stroke
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.axes import FAMILIAR
+from capture_sim.studies.capture_range import CaptureRange, area_of_map, ranges_of_sweep
 from capture_sim.studies.dispersion import (
     MAIN_LOADS,
     QUANTILES,
@@ -178,6 +180,10 @@ def run(options: argparse.Namespace) -> int:
             executor=executor,
             report=partial(progress.at, "sweep"),
         )
+        ranges: dict[tuple[Any, ...], CaptureRange] = {}
+        if options.cases is None:
+            with suppress(KeyboardInterrupt):  # the table is complete without
+                ranges = ranges_of_sweep(scene, samples, table, limits, executor)
     if table.empty:
         warn(f"interrupted: 0 of {len(samples.rows)} runs are done; nothing is written")
         return INTERRUPTED
@@ -191,6 +197,7 @@ def run(options: argparse.Namespace) -> int:
     )
     indices = _indices(samples, table, options)
     _report(scene, samples, table, indices, limits, options)
+    _print_ranges(samples, ranges, limits)
     if len(table) < len(samples.rows):
         warn(f"interrupted: {len(table)} of {len(samples.rows)} runs written to {options.out}")
         return INTERRUPTED
@@ -198,7 +205,9 @@ def run(options: argparse.Namespace) -> int:
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.sweep import draw_sweep
 
-        for name, figure in draw_sweep(table, samples.axes, scene.name, indices, limits).items():
+        for name, figure in draw_sweep(
+            table, samples.axes, scene.name, indices, limits, ranges
+        ).items():
             path = options.out.with_name(f"{options.out.stem}_{name}.png")
             echo(f"plot in {save(figure, path)}")
     return OK
@@ -346,6 +355,26 @@ def _probability_text(condition: str, found: Probability) -> str:
     if found.failed:
         text += f"; {found.failed} could not be computed, not counted"
     return text
+
+
+def _print_ranges(
+    samples: Samples, ranges: Mapping[tuple[Any, ...], CaptureRange], limits: Sequence[Limit]
+) -> None:
+    """Print the capture range at each combination of the values of the other axes."""
+    if not ranges:
+        return
+    area = area_of_map([axis for axis in samples.axes if len(axis.values) != 1])
+    others = [a.name for a in samples.axes if a.name not in {axis.name for axis in area}]
+    where = ", ".join(
+        f"{axis.name} {axis.values[0]:.4g} to {axis.values[-1]:.4g} {axis.unit}" for axis in area
+    )
+    runs = sum(found.runs for found in ranges.values())
+    what = "captured within the limits" if limits else "captured"
+    echo(f"\ncapture range: share of the area {where} that is {what}; {runs} runs locate its edge")
+    for values, found in ranges.items():
+        point = ", ".join(f"{n} = {v}" for n, v in zip(others, values, strict=True))
+        start = f"{point}: " if point else ""
+        echo(f"{start}{found.share * 100.0:.2f} +- {found.error * 100.0:.2f} %")
 
 
 def _print_limits(table: pandas.DataFrame, limits: Sequence[Limit], *, is_grid: bool) -> None:

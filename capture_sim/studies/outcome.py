@@ -7,7 +7,6 @@ These are the units of work of studies.  Contact and verdict are those of
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -50,7 +49,6 @@ class Outcome:
     loads: dict[str, Any]  # of the motion, see capture_sim.run.loads.loads_of
     energy_residual: float  # largest of the energy ledger, J
     failure: str = ""  # why the integration had to stop
-    given_up: bool = False  # a load exceeded its ceiling; verdict and loads are of the run up to it
 
     @property
     def captured(self) -> bool:
@@ -89,16 +87,9 @@ class StudyRun:
         self._bench, self._detector = Bench(scene, memory=memory), ExactDetector(scene)
         self._times = _measured_at(scene.run.t_end, scene.run.rate)
         self._energy_residual, self._failure = 0.0, ""
-        self._given_up = False
 
-    def integrate(self, ceilings: Mapping[str, float] | None = None) -> None:
-        """Run to the end; give up soon after a load exceeds its ceiling.
-
-        ``ceilings``: SI, by the names of the loads in results; None for none.
-        """
-        if ceilings:
-            self._integrate_in_pieces(lambda: self._exceeds(ceilings))
-            return
+    def integrate(self) -> None:
+        """Run to the end."""
         try:
             samples = self._bench.finish(self._times)
         except SimulationError as error:
@@ -108,25 +99,12 @@ class StudyRun:
 
     def integrate_to_verdict(self) -> None:
         """Run to the verdict, or to the end."""
-        self._integrate_in_pieces(lambda: self._detector.final, to_verdict=True)
-
-    def _integrate_in_pieces(
-        self, is_enough: Callable[[], bool], *, to_verdict: bool = False
-    ) -> None:
-        """Run to the end, or to that of a piece after which it is enough."""
-        take = self._detector.until_verdict if to_verdict else self._detector.to_end
         for piece in drive(self._bench, self._times[:-1], block=_BLOCK):
             self._note_residual(piece.samples)
             self._failure = str(piece.failure or "")
-            take(piece.samples)
-            if is_enough():
+            self._detector.until_verdict(piece.samples)
+            if self._detector.final:
                 return
-
-    def _exceeds(self, ceilings: Mapping[str, float]) -> bool:
-        """Return True if a load is beyond its ceiling; the run is then given up."""
-        loads = loads_of(self._bench.extremes, self._bench.touches)
-        self._given_up = any((loads[key] or 0.0) > ceiling for key, ceiling in ceilings.items())
-        return self._given_up
 
     def _note_residual(self, samples: np.ndarray) -> None:
         residual = np.abs(samples["energy_residual"])
@@ -146,7 +124,6 @@ class StudyRun:
             loads=loads_of(bench.extremes, bench.touches),
             energy_residual=self._energy_residual,
             failure=self._failure,
-            given_up=self._given_up,
         )
 
 

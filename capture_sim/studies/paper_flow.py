@@ -31,7 +31,6 @@ from capture_sim.scene.approach import approach_of
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import changed
 from capture_sim.scene.quantities import POSITIVE, Checked, Range, quantity
-from capture_sim.studies.design import reduced_mass, with_values
 from capture_sim.studies.limits import Limit, exceeded
 from capture_sim.studies.outcome import (
     FirstContact,
@@ -40,6 +39,7 @@ from capture_sim.studies.outcome import (
     run_to_end,
     run_to_verdict,
 )
+from capture_sim.studies.variables import reduced_mass, with_values
 
 #: Relative error of a stroke at which the search for springs ends, and up to which it is met.
 CONVERGED_ERROR, ACCEPTED_ERROR = 2e-5, 0.01

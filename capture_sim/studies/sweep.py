@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 
 #: Verdict of a run that could not be computed; ``failure`` gives the reason.
 FAILED = "failed"
-#: Verdict of a run that was not completed, as a load exceeded its ceiling.
-GIVEN_UP = "given up"
 #: Runs that a worker does in one go.
 _CHUNK = 20
 #: Relative tolerance of the runs of a sweep; see docs/random_scenes.md.
@@ -356,19 +354,15 @@ def run_rows(
     check: bool,
     limits: Sequence[Limit],
     rows: Sequence[tuple[Any, ...]],
-    ceilings: Mapping[str, float] | None = None,
 ) -> list[tuple[Any, ...]]:
-    """Return the results of some runs, each in the order of :func:`result_columns`.
-
-    A run is given up when a load exceeds its ceiling, see :meth:`StudyRun.integrate`.
-    """
+    """Return the results of some runs, each in the order of :func:`result_columns`."""
     columns = result_columns(check=check, limited=bool(limits))
     memories = iter(_kept.memories(2 * len(rows) if check else len(rows)))
     prepared = [_prepared(recipe, row, memories, check=check) for row in rows]
     for runs in prepared:
         if not isinstance(runs, SceneError):
             for run in runs:
-                run.integrate(ceilings=ceilings)
+                run.integrate()
     results = [_results(runs, limits) for runs in prepared]
     return [tuple([of_row.get(name, math.nan) for name in columns]) for of_row in results]
 
@@ -430,8 +424,6 @@ def _results(runs: tuple[StudyRun, ...] | SceneError, limits: Sequence[Limit]) -
 
 
 def _verdict(outcome: Outcome) -> str:
-    if outcome.given_up:
-        return GIVEN_UP
     return FAILED if outcome.failure else outcome.verdict
 
 

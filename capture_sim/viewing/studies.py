@@ -1,4 +1,4 @@
-"""Plots of studies: design, and two runs compared."""
+"""Plots of studies: the paper's design flow, and two runs compared."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from matplotlib.figure import Figure
 
 from capture_sim.run.series import NO_SERIES, Series
 from capture_sim.run.touches import Touches
-from capture_sim.studies.design import OBJECTIVE, Design
-from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.paper_flow import FirstContactDesign
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import subplots
@@ -21,86 +19,6 @@ from capture_sim.viewing.curves import STROKE, TORSION
 
 if TYPE_CHECKING:
     from capture_sim.studies.compare import Side
-
-
-def draw_design(design: Design) -> Figure:
-    """Return a figure of the search: peak force over stroke of the candidates, and its progress."""
-    figure, [[forces, progress]] = subplots(13.0, 5.6, 1, 2)
-    _draw_candidates(forces, design)
-    _draw_progress(progress, design)
-    return figure
-
-
-def _draw_candidates(axes: Axes, design: Design) -> None:
-    """Draw the candidates of the scene's own run by their stroke, or else by the first limit."""
-    alone = [each for each in design.history if each.share is None]
-    limits = {limit.key: limit for limit in design.requirements.limits}
-    across = limits.get("max_axial_stroke_in") or next(
-        (limit for key, limit in limits.items() if key != OBJECTIVE), None
-    )
-    if across is None:  # no load to draw the force over
-        axes.set_axis_off()
-        return
-    parts = {
-        "no capture, or given up": (style.LIGHT, [x for x in alone if x.verdict != CAPTURED]),
-        "captured, a limit exceeded": (
-            style.ORANGE,
-            [x for x in alone if x.verdict == CAPTURED and not x.feasible],
-        ),
-        "captured within the limits": (style.GREEN, [x for x in alone if x.feasible]),
-    }
-    for label, (colour, candidates) in parts.items():
-        strokes = [each.loads[across.key] * across.load.factor for each in candidates]
-        forces = [each.peak_force for each in candidates]
-        axes.plot(strokes, forces, ".", color=colour, label=label, ms=5)
-    best = design.best
-    axes.plot(
-        best.loads[across.key] * across.load.factor,
-        best.peak_force,
-        "*",
-        color=style.BLACK,
-        ms=15,
-        label="design" if design.met else "closest to the limits",
-    )
-    axes.axvline(across.value * across.load.factor, color=style.VERMILION, ls="--", label="limit")
-    if OBJECTIVE in limits:
-        axes.axhline(limits[OBJECTIVE].value, color=style.VERMILION, ls="--")
-    axes.set_xlim(0.0, 2.5 * across.value * across.load.factor)
-    axes.set_ylim(0.0, _shown_force(design))
-    axes.set_xlabel(f"{across.meaning}  [{across.load.shown_in}]")
-    axes.set_ylabel("peak normal force  [N]")
-    axes.set_title("Buffers tried", fontsize=15)
-    axes.legend(fontsize=11)
-
-
-def _shown_force(design: Design) -> float:
-    """Return the upper end of an axis of forces, N."""
-    forces = [each.peak_force for each in design.history if each.feasible]
-    highest = float(np.quantile(forces, 0.95)) if forces else 2.0 * design.best.peak_force
-    return 1.2 * highest or 1.0
-
-
-def _draw_progress(axes: Axes, design: Design) -> None:
-    """Draw the least peak force within the limits so far over the candidates."""
-    for name, kind, colour in (
-        ("scene alone", False, style.BLUE),
-        ("with draws", True, style.PURPLE),
-    ):
-        numbered = [
-            (number, each.peak_force)
-            for number, each in enumerate(design.history, 1)
-            if each.feasible and (each.share is not None) == kind
-        ]
-        if numbered:
-            number, force = np.array(numbered).T
-            axes.step(number, np.minimum.accumulate(force), color=colour, label=name, where="post")
-    axes.set_xlim(0, len(design.history) + 1)
-    axes.set_ylim(bottom=0.0)
-    axes.set_xlabel("candidate")
-    axes.set_ylabel("least peak force within the limits  [N]")
-    axes.set_title("Search" if design.met else "No buffer found", fontsize=15)
-    if axes.lines:
-        axes.legend(fontsize=12.5)
 
 
 def draw_first_contact_design(design: FirstContactDesign) -> Figure:
@@ -168,59 +86,6 @@ def _draw_dampers(axes: Axes, design: FirstContactDesign) -> None:
     axes.set_title(title, fontsize=15)
     if trials:
         axes.legend(fontsize=12.5)
-
-
-def draw_trade_off(designs: Sequence[FirstContactDesign]) -> Figure:
-    """Return a figure of forces and of the buffer over axial stroke: one unit for each axis."""
-    figure, panels = subplots(16.0, 8.4, 2, 3, sharex=True)
-    normal, buffer, k_A, k_T, c_A, note = panels.flat
-    met = [design for design in designs if design.met]
-    stroke = [design.target.axial_stroke * 1e3 for design in met]
-
-    def draw(axes: Axes, values: list[float], colour: str) -> None:
-        axes.plot(stroke, values, "o-", color=colour)
-
-    whole_run = [
-        [design.outcome.loads[load] for design in met if design.outcome is not None]
-        for load in ("max_normal_force", "max_buffer_force")
-    ]
-    draw(normal, whole_run[0], style.DARK)
-    draw(buffer, whole_run[1], style.DARK)
-    first = [design.damped.peak_force for design in met if design.damped is not None]
-    draw(normal, first, style.GREY)
-    for axes, name, unit, title in (
-        (k_A, "k_A", "N/m", "Axial spring"),
-        (k_T, "k_T", "N m/rad", "Torsional spring"),
-        (c_A, "c_A", "N s/m", "Axial damper"),
-    ):
-        values = [getattr(d.scene.buffer, name) for d in met if d.scene is not None]
-        draw(axes, values, style.BLUE)
-        axes.set_ylabel(f"{name}  [{unit}]")
-        axes.set_title(title, fontsize=15)
-    low, high = np.array([d.capturing or (math.nan, math.nan) for d in met]).reshape(-1, 2).T
-    c_A.fill_between(stroke, low, high, color=style.GREEN, alpha=0.2, lw=0)
-    for axes, title in ((normal, "Peak normal force"), (buffer, "Peak force of the buffer")):
-        axes.set_ylabel("force  [N]")
-        axes.set_title(title, fontsize=15)
-    rejected = [d.target.axial_stroke * 1e3 for d in designs if not d.met]
-    for axes in (normal, buffer, k_A, k_T, c_A):
-        axes.set_ylim(0.0, 1.12 * axes.get_ylim()[1])
-        for place in rejected:
-            axes.axvline(place, color=style.GREY, ls=":", lw=1.5)
-        axes.set_xlabel("target axial stroke  [mm]")
-        axes.tick_params(labelbottom=True)
-    if met:
-        named: dict[str, Any] = {"fontsize": style.SMALL, "ha": "right"}
-        for loads, name in ((whole_run[0], "whole run"), (first, "first contact")):
-            at = stroke[-1], loads[-1]
-            normal.annotate(name, at, (0, 7), textcoords="offset points", **named)
-        buffer.text(stroke[-1], whole_run[1][0], "whole run", **named)
-        c_A.text(stroke[-1], 0.5 * (low + high)[-1], "captures", color=style.GREEN, **named)
-    note.set_axis_off()
-    if rejected:
-        text = "dotted: a target that no buffer meets"
-        note.text(0.5, 0.5, text, fontsize=style.FONT, ha="center", transform=note.transAxes)
-    return figure
 
 
 _BEFORE = 0.05  # share of the window that is shown before the first contact

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from matplotlib.ticker import MaxNLocator
 
 from capture_sim.run.loads import LOADS
 from capture_sim.studies.axes import Axis
+from capture_sim.studies.capture_range import CaptureRange
 from capture_sim.studies.dispersion import (
     CAPTURED_LEFT,
     MAIN_LOADS,
@@ -84,11 +85,13 @@ def draw_sweep(
     title: str,
     indices: Sequence[Indices] = (),
     limits: Sequence[Limit] = (),
+    ranges: Mapping[tuple[Any, ...], CaptureRange] | None = None,
 ) -> dict[str, Figure]:
     """Return the figures of a sweep that its axes allow, by name.
 
     ``indices`` are those of the main loads, from runs of Saltelli's design; ``title`` is the name
-    of the scene.  ``limits`` are marked.
+    of the scene.  ``limits`` are marked.  ``ranges`` are the capture ranges of a map by the values
+    of the axes that have panels.
     """
     table = table.assign(outcome=outcome_labels(table))
     numbers = [axis for axis in axes if table[axis.name].dtype.kind in "if"]
@@ -102,7 +105,7 @@ def draw_sweep(
     if is_grid and len(grid) == 1:
         figures["curve"] = draw_curve(table, grid[0], title, limits)
     elif is_grid and not drawn:
-        figures["map"] = draw_map(table, grid, title, limits)
+        figures["map"] = draw_map(table, grid, title, limits, ranges or {})
     if drawn or not is_grid:
         figures["loads"] = draw_loads(table, title, limits)
         if indices:
@@ -179,7 +182,11 @@ def _draw_probability(panel: Axes, table: pandas.DataFrame, axis: Axis, factor: 
 
 
 def draw_map(
-    table: pandas.DataFrame, axes: Sequence[Axis], title: str, limits: Sequence[Limit] = ()
+    table: pandas.DataFrame,
+    axes: Sequence[Axis],
+    title: str,
+    limits: Sequence[Limit] = (),
+    ranges: Mapping[tuple[Any, ...], CaptureRange] | None = None,
 ) -> Figure:
     """Return the verdict over two axes in colours, with contours of the peak force.
 
@@ -214,7 +221,11 @@ def draw_map(
         )
         captured = float((page["verdict"] == CAPTURED).mean())
         left = float((page["outcome"] == CAPTURED_LEFT).mean())
-        share = f"{captured:.1%} captured" + (f", {left:.1%} left again" if left else "")
+        share = f"{captured:.1%} captured"
+        found = (ranges or {}).get(values if isinstance(values, tuple) else ())
+        if found is not None:
+            share = f"capture range {found.share * 100.0:.1f} +- {found.error * 100.0:.1f} %"
+        share += f", {left:.1%} left again" if left else ""
         where = ", ".join(
             f"{axis.name} = {value * _input(axis).factor:.4g} {_input(axis).unit}"
             for axis, value in shown

@@ -1,0 +1,272 @@
+"""A design as it is printed and written: the front, its rows as scenes, what limits cost."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from capture_sim.base.tables import print_table
+from capture_sim.commands.output import echo, warn, write_json, write_text
+from capture_sim.recording.sweep_file import head_of
+from capture_sim.run.loads import LOADS, implausible_stroke
+from capture_sim.scene.parts import Scene
+from capture_sim.studies.candidates import CHECK_DRAWS, Candidate
+from capture_sim.studies.design import Design, Row, beaten_by
+from capture_sim.studies.limit_costs import STEP, LimitCost
+from capture_sim.studies.limits import CAPTURE_RANGE, LOAD_KEYS, Limit, Measure
+from capture_sim.studies.outcome import CAPTURED, Outcome, run_to_end
+
+
+def report_front(design: Design, picked: int | None, costs: Sequence[LimitCost]) -> None:
+    """Print a design: the front, the picked row with its whole run, and what limits cost."""
+    n_feasible = sum(each.feasible for each in design.history)
+    echo(f"{len(design.history)} buffers tried, {n_feasible} feasible")
+    if picked is None:
+        echo(f"no buffer found: {design.refusal}")
+        return
+    if len(design.rows) > 1:
+        echo(f"front of {len(design.front)} buffers; {_picked_text(design, picked)}\n")
+    _print_front(design)
+    _print_own(design)
+    row = design.rows[picked]
+    _print_buffer(design, row)
+    scene = design.scene_of(row.candidate)
+    print_whole_run(scene, run_to_end(scene), design.requirements.limits)
+    check, requirements = row.check, design.requirements
+    if check is not None:
+        echo(
+            f"captured within the limits in {check.met} of {check.computed} new draws: "
+            f"probability {check.estimate:.4f}, 95 % interval {check.low:.4f} to {check.high:.4f}; "
+            f"{requirements.confidence:.4g} required"
+        )
+    _print_costs(costs, requirements.objectives)
+
+
+def _picked_text(design: Design, picked: int) -> str:
+    at_knee = "the knee, " if design.rows[picked].is_knee else ""
+    return f"{at_knee}row {picked + 1}, is picked"
+
+
+def _shown_measures(design: Design) -> list[Measure]:
+    """Return the objectives and the limited loads, each once."""
+    requirements = design.requirements
+    keys = [each.key for each in (*requirements.objectives, *requirements.limits)]
+    if requirements.area:
+        keys.append(CAPTURE_RANGE)
+    return [Measure(key) for key in dict.fromkeys(keys)]
+
+
+def _print_front(design: Design) -> None:
+    """Print the rows of the front, and the scene's own buffer below them."""
+    measures, variables = _shown_measures(design), design.variables
+    head = ["row"]
+    head += [f"{each.meaning}\n{each.load.shown_in}" for each in measures]
+    head += [f"{each.name.removeprefix('buffer.')}\n{each.unit}" for each in variables]
+
+    def cells(name: str, candidate: Candidate) -> list[str]:
+        loads = [_text_of(each, candidate) for each in measures]
+        return [name, *loads, *(f"{candidate.values[each.name]:.4g}" for each in variables)]
+
+    rows = [
+        cells(f"{number}{' knee' if row.is_knee and len(design.rows) > 1 else ''}", row.candidate)
+        for number, row in enumerate(design.rows, 1)
+    ]
+    print_table(head, [*rows, cells("own", design.own)])
+    if design.requirements.under is not None and design.interrupted:
+        echo("loads: of the scene without dispersions, as the search was interrupted")
+    elif design.requirements.under is not None:
+        echo(f"loads: at {design.requirements.confidence:.4g} of {CHECK_DRAWS} new draws")
+
+
+def _text_of(measure: Measure, candidate: Candidate) -> str:
+    value = candidate.loads[measure.key]
+    if math.isnan(value):
+        return "-"
+    if measure.key == CAPTURE_RANGE:
+        return f"{value * 100.0:.1f} +- {candidate.range_error * 100.0:.1f}"
+    return measure.shown(value)
+
+
+def _print_own(design: Design) -> None:
+    """Print by how much the front beats the scene's own buffer."""
+    own = design.own
+    if own.verdict != CAPTURED:
+        echo(f"the scene's own buffer ends {own.verdict}")
+        return
+    excess = [each for each in design.requirements.limits if each.use(own.loads[each.key]) > 1.0]
+    if excess:
+        echo(f"the scene's own buffer exceeds {', '.join(limit.text for limit in excess)}")
+    parts = []
+    for objective, best in beaten_by(design):
+        value = own.loads[objective.key]
+        change = best / value - 1.0 if value else 0.0
+        parts.append(
+            f"{objective.meaning} {objective.shown(best)} {objective.load.shown_in} in place of "
+            f"{objective.shown(value)} ({change:+.1%})"
+        )
+    if parts:
+        others = ", the other objectives no worse" if len(design.rows) > 1 else ""
+        echo(f"against the scene's own buffer{others}: {'; '.join(parts)}")
+
+
+def _print_costs(costs: Sequence[LimitCost], objectives: Sequence[Measure]) -> None:
+    """Print what the active limits cost in the objectives."""
+    if not costs:
+        return
+    echo(f"\nactive limits, and the change of each objective with {STEP:.0%} more of them")
+    rows = [
+        [
+            f"{cost.limit.text}",
+            f"{cost.use:.1%}",
+            *(f"{change.value:+.2%} +- {change.deviation:.2%}" for change in cost.changes),
+        ]
+        for cost in costs
+    ]
+    print_table(["limit", "used", *(each.meaning for each in objectives)], rows)
+
+
+def _print_buffer(design: Design, row: Row) -> None:
+    values = dict(row.candidate.values)
+    rebound = design.scene_of(row.candidate).buffer.c_A_rebound
+    if rebound is not None:
+        values["buffer.c_A_rebound"] = rebound
+    units = {variable.name: variable.unit for variable in design.variables}
+    units["buffer.c_A_rebound"] = "N s/m"
+    echo(
+        ", ".join(
+            f"{name.removeprefix('buffer.')} = {value:.5g} {units[name]}"
+            for name, value in values.items()
+        )
+    )
+
+
+def print_whole_run(scene: Scene, outcome: Outcome, limits: Sequence[Limit]) -> None:
+    """Print verdict and loads of a design's run, with the limits."""
+    echo(f"\nsimulation of the design: {_verdict(outcome)}, {outcome.reason}")
+    print_table(["whole run", "", "at s", "limit", "margin"], _load_rows(outcome, limits))
+    if text := implausible_stroke(scene, outcome.loads["max_axial_stroke_in"]):
+        warn(text)
+    if outcome.failure:
+        echo("the run stopped early: loads until then do not show that limits are kept")
+    if outcome.left_again:
+        echo("the tip leaves the capture zone again; a latch would hold it")
+
+
+def _verdict(outcome: Outcome) -> str:
+    return f"{outcome.verdict}, left again" if outcome.left_again else outcome.verdict
+
+
+def _load_rows(outcome: Outcome, limits: Sequence[Limit]) -> list[list[str]]:
+    """Return one row for each load of the design's whole run, with its limit."""
+    by_key, loads = {limit.key: limit for limit in limits}, outcome.loads
+    rows = [["verdict", _verdict(outcome), f"{outcome.t:.3f}", "captured"]]
+    for row_load in LOADS:
+        for key in (row_load.key, f"{row_load.key}_before_latch"):
+            value, limit = loads.get(key), by_key.get(key)
+            if not value or (limit is None and key != row_load.key):
+                continue
+            meaning = row_load.meaning if limit is None else limit.meaning
+            shown = f"{value * row_load.factor:.4g}"
+            cells = [f"{meaning}, {row_load.shown_in}", shown, f"{loads[f'{key}_time']:.3f}"]
+            if limit is not None:
+                cells += [limit.shown(limit.value), f"{1.0 - limit.use(value):+z.1%}"]
+            rows.append(cells)
+    return rows
+
+
+def write_front(
+    design: Design,
+    picked: int | None,
+    costs: Sequence[LimitCost],
+    folder: Path,
+    seed: int,
+) -> None:
+    """Write the front, its rows as scenes, the picked one, and every candidate of the search."""
+    requirements = design.requirements
+    keys = [each.key for each in _shown_measures(design)]
+
+    def plain(candidate: Candidate) -> dict[str, Any]:
+        loads = {key: candidate.loads[key] for key in keys if key in candidate.loads}
+        return {
+            "values": dict(candidate.values),
+            "loads": {key: None if math.isnan(x) else x for key, x in loads.items()},
+            "verdict": candidate.verdict,
+            "violation": candidate.violation,
+            "share": candidate.share,
+        }
+
+    kept: dict[str, Any] = {"refusal": design.refusal, "seed": seed}
+    kept["objectives"] = [each.key for each in requirements.objectives]
+    kept["limits"] = {limit.key: limit.value for limit in requirements.limits}
+    kept["free"] = {each.name: [each.low, each.high] for each in design.variables}
+    if requirements.under is not None:
+        kept["under"] = {name: str(given) for name, given in requirements.under.vary.items()}
+        kept["confidence"] = requirements.confidence
+    if requirements.area:
+        kept["area"] = {axis.name: axis.values for axis in requirements.area}
+        kept["least_capture_range"] = requirements.least_range
+    outcome = None
+    if picked is not None:
+        row = design.rows[picked]
+        kept["picked"] = picked + 1
+        if row.check is not None:
+            kept["check"] = row.check._asdict()
+        outcome = run_to_end(design.scene_of(row.candidate))
+    kept |= outcome_of(outcome)
+    kept["costs"] = [
+        {"limit": cost.limit.key, "use": cost.use, "changes": cost.changes} for cost in costs
+    ]
+    kept["own"] = plain(design.own)
+    kept["rows"] = [plain(row.candidate) for row in design.rows]
+    kept["history"] = [plain(candidate) for candidate in design.history]
+    for old in folder.glob("design_[0-9][0-9].yaml"):
+        old.unlink()  # of an earlier design with more rows
+    if len(design.rows) > 1:
+        echo(f"front in {write_text(folder / 'front.csv', _front_csv(design))}")
+        for number, row in enumerate(design.rows, 1):
+            named = _named(design.scene_of(row.candidate), f"_{number:02d}")
+            write_text(folder / f"design_{number:02d}.yaml", named.to_yaml())
+        echo(f"rows in {folder / 'design_01.yaml'} to design_{len(design.rows):02d}.yaml")
+    picked_scene = None if picked is None else design.scene_of(design.rows[picked].candidate)
+    write_design(kept, picked_scene, folder)
+
+
+def _front_csv(design: Design) -> str:
+    """Return the front as CSV, units in the head: row in the table, free values, all loads, SI."""
+    numbers = {id(row.candidate): k for k, row in enumerate(design.rows, 1)}
+    keys = [*LOAD_KEYS, *([CAPTURE_RANGE] if design.requirements.area else [])]
+    head = ["row", "knee", *(head_of(each.name, each.unit) for each in design.variables)]
+    head += [head_of(key, Measure(key).load.unit.replace("1", "")) for key in keys]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    for candidate in design.front:
+        number = numbers.get(id(candidate), "")
+        is_knee = bool(number) and design.rows[int(number) - 1].is_knee
+        values = [candidate.values[each.name] for each in design.variables]
+        loads = ["" if math.isnan(x := candidate.loads[key]) else x for key in keys]
+        writer.writerow([number, "knee" if is_knee else "", *values, *loads])
+    return text.getvalue()
+
+
+def outcome_of(outcome: Outcome | None) -> dict[str, Any]:
+    """Return verdict and loads of a run for ``design.json``; None each without a run."""
+    return {name: getattr(outcome, name, None) for name in ("verdict", "left_again", "loads")}
+
+
+def write_design(kept: Mapping[str, Any], scene: Scene | None, folder: Path) -> None:
+    """Write ``design.json`` and, if there is a buffer, ``design.yaml``."""
+    echo(f"every candidate in {write_json(folder / 'design.json', kept)}")
+    if scene is not None:
+        echo(f"scene in {write_text(folder / 'design.yaml', _named(scene).to_yaml())}")
+
+
+def _named(scene: Scene, number: str = "") -> Scene:
+    """Return a scene with a name of its own: both can be run into one folder and compared."""
+    name, title = f"{scene.name}_design{number}", f"{scene.title}; designed"
+    return dataclasses.replace(scene, name=name, title=title)

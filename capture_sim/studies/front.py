@@ -1,0 +1,74 @@
+"""Fronts of several objectives, all to be minimised: layers, knee, rows of a table.
+
+Points are arrays (n, objectives): of loads the logarithms, see
+:meth:`capture_sim.studies.limits.Measure.cost`.  Distances are measured in shares of the front's
+own ranges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from capture_sim.errors import MissingPackageError, install_hint
+
+
+def require_pymoo() -> None:
+    """Raise MissingPackageError if pymoo is not installed."""
+    try:
+        import pymoo  # noqa: F401
+    except ImportError:
+        raise MissingPackageError(f"design needs pymoo: {install_hint('study')}") from None
+
+
+def layers(points: np.ndarray) -> list[np.ndarray]:
+    """Return the indices of the front, of the front without that, and so on."""
+    from pymoo.util.nds.non_dominated_sorting import NonDominatedSorting
+
+    if not len(points):
+        return []
+    # two points that are equal do not dominate each other: one of them is enough
+    _, first = np.unique(points, axis=0, return_index=True)
+    first.sort()
+    return [first[layer] for layer in NonDominatedSorting().do(points[first])]
+
+
+def hypervolume(points: np.ndarray, ideal: np.ndarray, nadir: np.ndarray) -> float:
+    """Return the share of the box from ideal to nadir that some points dominate."""
+    from pymoo.indicators.hv import HV
+
+    if not len(points):
+        return 0.0
+    scaled = (points - ideal) / np.where(nadir > ideal, nadir - ideal, 1.0)
+    return float(HV(ref_point=np.ones(scaled.shape[1]))(scaled))
+
+
+def knee(points: np.ndarray) -> int:
+    """Return the index of a front's point with the least sum of objectives.
+
+    Of two objectives, this is the point farthest below the straight line between both ends.  Of a
+    force and a stroke that line is, by the logarithms, one of about the same absorbed energy.
+    """
+    return int(_scaled(points).sum(axis=1).argmin())
+
+
+def rows_of(points: np.ndarray, most: int, marked: Sequence[int] = ()) -> list[int]:
+    """Return the indices of at most ``most`` points spread over a front.
+
+    These are its ends, the marked points, and then always the point farthest from those before.
+    They are in the order of the first objective.
+    """
+    scaled = _scaled(points)
+    chosen = list(dict.fromkeys([*marked, *scaled.argmin(axis=0).tolist()]))[:most]
+    while len(chosen) < min(most, len(points)):
+        distance = np.linalg.norm(scaled[:, None] - scaled[chosen], axis=2).min(axis=1)
+        if distance.max() <= 0.0:
+            break
+        chosen.append(int(distance.argmax()))
+    return sorted(chosen, key=lambda k: tuple(points[k]))
+
+
+def _scaled(points: np.ndarray) -> np.ndarray:
+    low, width = points.min(axis=0), np.ptp(points, axis=0)
+    return np.asarray((points - low) / np.where(width > 0.0, width, 1.0))

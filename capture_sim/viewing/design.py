@@ -1,0 +1,172 @@
+"""Plots of a design: candidates, front and knee over pairs of objectives; progress of one."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+
+from capture_sim.studies.candidates import Candidate
+from capture_sim.studies.design import Design, costs_of
+from capture_sim.studies.limits import CAPTURE_RANGE, Measure
+from capture_sim.studies.outcome import CAPTURED
+from capture_sim.viewing import style
+from capture_sim.viewing.canvas import subplots
+
+#: Axes show the front with this factor of room; on linear axes, this share of its range.
+_ROOM, _LINEAR_ROOM = 1.7, 0.3
+
+
+def draw_design(design: Design, picked: int | None = None) -> Figure:
+    """Return a figure of the candidates and the front over each pair of objectives.
+
+    With one objective it is over the first limited load, with the progress of the search beside.
+    ``picked`` is the index of the picked row; None without a buffer.
+    """
+    objectives = design.requirements.objectives
+    if len(objectives) > 1:
+        pairs = list(itertools.combinations(objectives, 2))
+        figure, panels = subplots(1.5 + 7.0 * len(pairs), 7.0, 1, len(pairs))
+        for panel, (across, up) in zip(panels.flat, pairs, strict=True):
+            _draw_pair(panel, design, across, up, picked)
+        panels.flat[0].legend(fontsize=11, loc="best")
+    else:
+        figure, [[pair, progress]] = subplots(14.0, 6.0, 1, 2)
+        limited = [each for each in design.requirements.limits if each.key != objectives[0].key]
+        key = limited[0].key if limited else "max_axial_stroke_in"
+        _draw_pair(pair, design, Measure(key), objectives[0], picked)
+        pair.legend(fontsize=11, loc="best")
+        _draw_progress(progress, design)
+    figure.suptitle(_title(design, int(9.0 * figure.get_figwidth())), fontsize=13)
+    return figure
+
+
+def _title(design: Design, width: int) -> str:
+    limits = ", ".join(limit.text for limit in design.requirements.limits)
+    title = f"{design.scene.name}: {len(design.history)} buffers"
+    return "\n".join([title, *textwrap.wrap(f"limits: {limits}", width)]) if limits else title
+
+
+def _of(candidates: Sequence[Candidate], measure: Measure) -> np.ndarray:
+    """Return a load of candidates in the unit of tables."""
+    values = [each.loads.get(measure.key, math.nan) for each in candidates]
+    return np.array(values, dtype=float) * measure.load.factor
+
+
+def _draw_pair(
+    axes: Axes, design: Design, across: Measure, up: Measure, picked: int | None
+) -> None:
+    """Draw the candidates, the front, the knee, the own buffer and the limits over two loads."""
+    history = design.history
+    parts = {
+        "no capture": (style.LIGHT, [x for x in history if x.verdict != CAPTURED]),
+        "captured, a limit exceeded": (
+            style.ORANGE,
+            [x for x in history if x.verdict == CAPTURED and not x.feasible],
+        ),
+        "feasible": (style.GREEN, [x for x in history if x.feasible]),
+    }
+    for label, (colour, candidates) in parts.items():
+        if candidates:
+            at = _of(candidates, across), _of(candidates, up)
+            axes.plot(*at, ".", color=colour, label=label, ms=4, alpha=0.6)
+    is_line = {across.key, up.key} == {each.key for each in design.requirements.objectives}
+    front = _of(design.front, across), _of(design.front, up)
+    look: dict[str, Any] = {"color": style.BLUE, "lw": 1.5, "ms": 5}
+    if is_line and len(design.front) > 1:
+        # no buffer between two of the front is known to be on the straight line between them
+        axes.plot(*front, "o-", drawstyle="steps-post", label="front", **look)
+    elif design.front:
+        axes.plot(*front, "o", label="front" if len(design.front) > 1 else "design", **look)
+    if len(design.rows) > 1:
+        for number, row in enumerate(design.rows, 1):
+            at_row = _of([row.candidate], across)[0], _of([row.candidate], up)[0]
+            axes.annotate(str(number), at_row, (4, 4), textcoords="offset points", fontsize=11)
+    for label, index, marker in (
+        ("knee", next((k for k, row in enumerate(design.rows) if row.is_knee), None), "*"),
+        ("picked", picked, "o"),
+    ):
+        if index is None or (label == "picked" and design.rows[index].is_knee):
+            continue
+        row = design.rows[index]
+        fill = "none" if label == "picked" else style.BLACK
+        at = _of([row.candidate], across), _of([row.candidate], up)
+        name = "design" if len(design.rows) == 1 else label
+        axes.plot(*at, marker, color=style.BLACK, mfc=fill, ms=15, label=name)
+    own = _of([design.own], across), _of([design.own], up)
+    axes.plot(*own, "D", color=style.PURPLE, ms=9, label="scene's own buffer")
+    for limit in design.requirements.limits:
+        at_limit = limit.value * limit.load.factor
+        look = {"color": style.VERMILION, "ls": "--", "lw": 2.0, "label": "limit"}
+        if limit.key == across.key:
+            axes.axvline(at_limit, **look)
+        if limit.key == up.key:
+            axes.axhline(at_limit, **look)
+    if up.key == CAPTURE_RANGE and design.requirements.least_range:
+        axes.axhline(design.requirements.least_range * 100.0, color=style.VERMILION, ls="--")
+    for name, measure, values, own_value in (
+        ("x", across, front[0], own[0]),
+        ("y", up, front[1], own[1]),
+    ):
+        shown = (
+            values if values.size else _of([x for x in history if x.verdict == CAPTURED], measure)
+        )
+        _set_scale(axes, name, measure, np.append(shown, own_value))
+    axes.set_xlabel(f"{across.meaning}  [{across.load.shown_in}]")
+    axes.set_ylabel(f"{up.meaning}  [{up.load.shown_in}]")
+
+
+def _set_scale(axes: Axes, name: str, measure: Measure, values: np.ndarray) -> None:
+    """Show the range of some values with room around: loads on a logarithmic axis."""
+    values = values[np.isfinite(values)]
+    set_limits = axes.set_xlim if name == "x" else axes.set_ylim
+    positive = values[values > 0.0]
+    if measure.key == CAPTURE_RANGE:
+        set_limits(-4.0, 104.0)
+        return
+    if positive.size < values.size or not values.size:
+        width = max(float(np.ptp(values)) if values.size else 0.0, 1.0)
+        low, high = (values.min(), values.max()) if values.size else (0.0, 1.0)
+        set_limits(low - _LINEAR_ROOM * width, high + _LINEAR_ROOM * width)
+        return
+    (axes.set_xscale if name == "x" else axes.set_yscale)("log")
+    set_limits(positive.min() / _ROOM, positive.max() * _ROOM)
+    axis = axes.xaxis if name == "x" else axes.yaxis
+    decades = math.log10(positive.max() / positive.min() * _ROOM**2)
+    # numbers without powers, and some between the decades
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 3.0 else (1.0,)))
+    axis.set_major_formatter(ScalarFormatter())
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _draw_progress(axes: Axes, design: Design) -> None:
+    """Draw the best value of the objective so far over the candidates."""
+    objective = design.requirements.objectives[0]
+    for name, is_drawn, colour in (
+        ("scene alone", False, style.BLUE),
+        ("with draws", True, style.PURPLE),
+    ):
+        numbered = [
+            (number, each)
+            for number, each in enumerate(design.history, 1)
+            if each.feasible and (each.share is not None) == is_drawn
+        ]
+        if numbered:
+            best = np.minimum.accumulate(
+                costs_of([each for _, each in numbered], [objective])[:, 0]
+            )
+            numbers = [number for number, _ in numbered]
+            values = np.exp(best) if objective.sign > 0.0 else -100.0 * best
+            axes.step(numbers, values, color=colour, label=name, where="post")
+    axes.set_xlim(0, len(design.history) + 1)
+    axes.set_xlabel("candidate")
+    axes.set_ylabel(f"best {objective.meaning} so far  [{objective.load.shown_in}]")
+    if axes.lines:
+        axes.legend(fontsize=12)
