@@ -14,8 +14,8 @@ from tests.nodes.bench_client import wait_until
 #: has room for: scenes that are loaded and kernels that are compiled.
 WATCHED = """
 from numba.core import event
-from capture_sim.launch import hold
-from capture_sim.nodes import trial_bench, trial_server
+from capture_sim.trial import hold
+from capture_sim.nodes.trials import bench as trial_bench, server as trial_server
 
 compiled, loaded, between = event.RecordingListener(), [], []
 count = [0, True]  # callbacks since launcher/hold was looked at; whether it holds

@@ -136,7 +136,7 @@ def test_end_is_bounded_where_dds_spins_with_the_lock_of_python(tmp_path, status
     ended_with, said = ended(
         f"""
         import ctypes
-        from capture_sim.nodes import process
+        from capture_sim.nodes.base import process
         from capture_sim.nodes.base.node import BenchNode
 
         class Bench(BenchNode):
@@ -163,7 +163,7 @@ def test_shutdown_is_bounded_where_a_disk_is_stalled(start, tmp_path):
     """The callback that writes does not come back, and the node still follows Ctrl-C."""
     stalled = """
         import threading
-        from capture_sim.nodes import process
+        from capture_sim.nodes.base import process
         process.SHUTDOWN_TIMEOUT = 2.0
         take = node.RecorderNode._record
         def stall(self, topic, data):

@@ -197,7 +197,7 @@ def test_two_recorders_of_one_name_record_the_same(start_all, start, tmp_path):
 @pytest.mark.parametrize("name", ["my_detector", "/lab/my_detector"])
 def test_nothing_of_an_unpaced_run_passes_a_plain_node_that_is_waited_for(name, start):
     """It has the name that the simulator waits for, and starts after it."""
-    soon = "from capture_sim.nodes import announcer; announcer._REPORT_PERIOD = 0.1"
+    soon = "from capture_sim.nodes.protocol import announcer; announcer._REPORT_PERIOD = 0.1"
     simulator = start("simulator", soon, rtf=0.0, wait_for=f"[{name}]", overrides=SHORT)
     simulator.wait_for(f"waiting for {name} to start")
     with Client("my_detector", namespace="/lab") as client:
@@ -361,7 +361,7 @@ def test_reader_that_stalls_is_dropped_by_name_and_costs_the_others_nothing(star
 
 #: The bench differs from its plan: the mass that was fitted is heavier by half.
 HEAVIER = """
-from capture_sim.nodes import simulated_runs
+from capture_sim.nodes.simulation import simulated_runs
 plan_of = simulated_runs._plan
 def plan(scene, armed):
     planned = plan_of(scene, armed)
