@@ -26,14 +26,14 @@ def end(name):
     spent[name] = time.process_time() - sum(spent.values())
 import numpy
 end("numpy")
-import capture_sim.scene.files
-from capture_sim.scene.loading import load_scene
+from capture_sim import load_scene
 scene = load_scene("tilt_0")
 end("scene")
 import numba
 end("numba")
-from capture_sim.dynamics.compilation import compile_kernels
-compile_kernels()
+from capture_sim import Bench
+bench = Bench(scene)
+bench.advance(bench.times(0, 2))
 end("kernels, from the cache")
 from capture_sim import simulate
 run = simulate(scene)
