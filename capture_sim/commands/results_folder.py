@@ -209,12 +209,21 @@ def _is_repeated(row: Row, before: Sequence[Row], after: Sequence[Row]) -> bool:
 def _are_equal(row: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     """Return True if two rows are the same run: equal scenes, and equal results to the last bit.
 
-    A key that only one of them has, of another version, does not count, nor does the error estimate
-    of a run, which a recording has by its samples.  The first tables do not contain the scene.
+    A key that only one of them has, of another version, does not count, nor do the error estimate
+    of a run, which a recording has by its samples, and how its loads were found.  The first tables
+    do not contain the scene.
     """
     scenes = {one["made_by"].get("scene_sha256") for one in (row, other)} - {None}
-    common = (row.keys() & other.keys()) - NOT_NUMBERS - {"energy_residual"}
-    return len(scenes) < 2 and all(row[key] == other[key] for key in common)
+    common = {
+        key
+        for key in (row.keys() & other.keys()) - NOT_NUMBERS - {"energy_residual", "loads_from"}
+        if row[key] is not None and other[key] is not None
+    }
+    return (
+        len(scenes) < 2
+        and {"verdict", "nearest_distance"} <= common
+        and all(row[key] == other[key] for key in common)
+    )
 
 
 def _plain(row: Row) -> Row:

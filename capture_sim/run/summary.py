@@ -109,7 +109,11 @@ def row_from(entry: object, where: str) -> dict[str, Any]:
     """
     if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
         raise ValueError(f"{where}: name: must be a text")
-    row = {**dict.fromkeys(_number_keys()), **copy.deepcopy(_MISSING), **entry}
+    row = {
+        **dict.fromkeys(_number_keys()),
+        **copy.deepcopy(_MISSING),
+        **_with_names_of_today(entry),
+    }
     for key, value in row.items():
         default = _MISSING.get(key)
         if key in _number_keys():
@@ -122,6 +126,32 @@ def row_from(entry: object, where: str) -> dict[str, Any]:
             is_right = default is None or isinstance(value, type(default))
         if not is_right:
             raise ValueError(f"{where}: {key} = {json.dumps(value)[:40]}: must be {_kind(key)}")
+    return row
+
+
+#: Keys of the first results.json, of 0.1.0, and today's for the same value.
+FIRST_NAMES = {
+    "peak_force": "max_normal_force",
+    "max_axial_stroke": "max_axial_stroke_in_before_latch",
+    "max_torsion": "max_torsion_before_latch",
+}
+#: Of those, the largest value after the latch has closed, and today's key for that of the run.
+_FIRST_LATCHED = {
+    "max_axial_stroke_latched": ("max_axial_stroke", "max_axial_stroke_in"),
+    "max_torsion_latched": ("max_torsion", "max_torsion"),
+}
+
+
+def _with_names_of_today(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return a row of the first results.json with today's keys, any other row as it is."""
+    if not entry.keys() & _FIRST_LATCHED.keys():
+        return entry
+    former = {*FIRST_NAMES, *_FIRST_LATCHED}
+    row = {key: value for key, value in entry.items() if key not in former}
+    row |= {new: entry[old] for old, new in FIRST_NAMES.items() if old in entry}
+    for latched, (before, whole) in _FIRST_LATCHED.items():
+        values = (entry.get(before), entry.get(latched))
+        row[whole] = max((x for x in values if isinstance(x, int | float)), default=None)
     return row
 
 

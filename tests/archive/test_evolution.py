@@ -13,11 +13,12 @@ from capture_sim import load_scene, simulate
 from capture_sim.base.resources import message_dir
 from capture_sim.base.software import newer_line, newer_version, own_version
 from capture_sim.messages.evolution import defaults
+from capture_sim.run.summary import FIRST_NAMES, row_from
 from capture_sim.scene.loading import load_scene_text
 from capture_sim.scene.parts import Scene, as_mapping
 from tests.archive.test_archive import ARCHIVE, FIRST_KEYS, OF_THE_CALL, VERSIONS
 
-#: Fields and types that are gone, with what reads them: none is in a recording's topics.
+#: Fields and types that are gone: a replay and a reader of that time's files need neither.
 GONE = {("RunInfo", "consumers"), ("SimulatorFeatures", None)}
 ADVICE = "keep its name, type and unit; for another meaning add a field with its default"
 
@@ -105,3 +106,16 @@ def test_a_scene_of_a_newer_version_is_read_as_far_as_it_is_known():
     scene = load_scene_text(yaml.safe_dump(data), only_known=True)
     assert dataclasses.replace(scene) == load_scene("tilt_0")
     assert isinstance(scene, Scene)
+
+
+def test_a_row_of_the_first_results_has_the_keys_of_today():
+    (then,) = json.loads((ARCHIVE / "8613e21" / "offline_results.json").read_text())
+    row = row_from(then, "run 1")
+    for old, new in FIRST_NAMES.items():
+        assert row[new] == then[old]
+    assert row["max_axial_stroke_in"] == max(
+        then["max_axial_stroke"], then["max_axial_stroke_latched"]
+    )
+    assert row["max_torsion"] == max(then["max_torsion"], then["max_torsion_latched"])
+    without_latch = row_from({**then, "max_torsion_latched": None}, "run 1")
+    assert without_latch["max_torsion"] == then["max_torsion"]
