@@ -29,17 +29,17 @@ from tests.nodes.bench_processes import (
     wait_until,
 )
 from tests.nodes.forked import Forked
+from tests.nodes.own_domain import own_domain
 
 
-def start_suite(start, out, recorder_change="", common=None, **simulator):
+def start_suite(start, out, recorder_change="", **simulator):
     """Start the whole suite; further parameters go to the simulator."""
-    common = common or {}
     parameters = {"rtf": 0.0, "wait_for": "[launcher, capture_detector, recorder]", **simulator}
     return {
-        "simulator": start("simulator", **parameters, **common),
-        "launcher": start("launcher", **common),
-        "capture_detector": start("capture_detector", **common),
-        "recorder": start("recorder", recorder_change, out=out, **common),
+        "simulator": start("simulator", **parameters),
+        "launcher": start("launcher"),
+        "capture_detector": start("capture_detector"),
+        "recorder": start("recorder", recorder_change, out=out),
     }
 
 
@@ -62,13 +62,13 @@ def disturbed(tmp_path_factory):
         "simulator": {},
         "capture_detector": {"reader_timeout": 60.0},
         "recorder": {"reader_timeout": 60.0},
-        "stopped": {"reader_timeout": 2.0},
+        "stopped": {"reader_timeout": 8.0},  # on a busy machine nodes need a while to join
     }
-    with processes(Forked) as start:
-        suites = {
-            name: start_suite(start, out / name, common={"__ns": f"/{name}"}, rtf=2.0, **changes)
-            for name, changes in options.items()
-        }
+    suites = {}
+    with ExitStack() as domains, processes(Forked) as start:
+        for name, changes in options.items():
+            domains.enter_context(own_domain())
+            suites[name] = start_suite(start, out / name, rtf=2.0, **changes)
         for name, nodes in suites.items():
             path = out / name / "tilt_0.mcap"
             # about 1000 samples
