@@ -11,7 +11,7 @@ NUMERICAL := tests/dynamics/test_accuracy.py tests/dynamics/test_second_formulat
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup develop lock run test test-core test-nodes build/lint.log build/test-nodes.log
+.PHONY: help setup develop lock run test test-core test-nodes build/lint.log
 .PHONY: test-generic test-numpy1 lint docs benchmark reproduction faults picture format clean test-plain
 
 help:
@@ -43,21 +43,21 @@ setup develop:
 run: setup
 	$(BIN)/capture-sim bench tilt_0 tilt_p10 tilt_m10 --out runs
 
-# Nodes mostly wait for each other: their tests and lint run beside the other tests, and the logs of
-# lint and of the node tests are printed after those.
+# Lint runs beside the tests that compute, and its log is printed after those. Nodes wait for each
+# other: their tests run alone, a file with the nodes that it shares in one process.
 test: develop
 	@mkdir -p build
-	@$(MAKE) --no-print-directory --keep-going -j3 test-core build/lint.log build/test-nodes.log; \
-		status=$$?; cat build/lint.log build/test-nodes.log; exit $$status
+	@$(MAKE) --no-print-directory --keep-going -j2 test-core build/lint.log; \
+		status=$$?; cat build/lint.log; $(MAKE) --no-print-directory test-nodes && exit $$status
 
 test-core: develop
 	$(BIN)/python -m pytest tests --ignore tests/nodes -n auto --durations=20
 
 test-nodes: develop
-	$(BIN)/python -m pytest tests/nodes -n auto --durations=20
+	$(BIN)/python -m pytest tests/nodes -n auto --dist loadfile --durations=20
 
-build/lint.log build/test-nodes.log: build/%.log: develop
-	@$(MAKE) --no-print-directory $* >$@ 2>&1
+build/lint.log: develop
+	@$(MAKE) --no-print-directory lint >$@ 2>&1
 
 # Rounding differs from one processor to the next, most of all without fused multiply and add, and
 # tests must not depend on it. These are the tests that are most sensitive to it: each has failed for
