@@ -49,7 +49,7 @@ def test_a_change_is_noticed(project, setup_env):
         ("requirements/lock.txt", "\n", "requirements"),
         ("tools/finish_venv.py", "\n", "requirements"),
         ("pyproject.toml", "\n[tool.other]\n", None),
-        ("capture_sim/dynamics/bench.py", "\n", None),
+        ("capture_sim/errors.py", "\n", None),
         ("msg/BenchState.msg", None, "package"),
     ):
         before, path = setup_env.wanted_state(), project / file
