@@ -88,9 +88,9 @@ def answer(contest: Contest) -> str:
     return (
         f"To {contest.plan.t_end:g} s, {OURS} needs {seconds(ours[0])} at errors of "
         f"{least.position:.0e} m and {least.event_time:.0e} s, and {seconds(ours[1])} at "
-        f"{most.position:.0e} m and {most.event_time:.0e} s. A textbook DOP853 with events, "
-        "compiled alike but without energy ledger and peak loads, needs "
-        f"{compared('textbook')} times as long. {library}SciPy with the same compiled equations "
+        f"{most.position:.0e} m and {most.event_time:.0e} s. The floor, a bare "
+        "loop in C++ for this scene alone, without energy ledger, peak loads and limits of steps, "
+        f"needs {compared('floor')} times as long. {library}SciPy with the same compiled equations "
         f"needs {compared('python')} times as long, nearly all of it Python calls."
     )
 

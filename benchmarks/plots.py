@@ -25,7 +25,7 @@ from capture_sim.viewing.canvas import save, subplots
 #: By the first word of a program's name.
 _COLOURS = {
     OURS: style.BLUE,
-    "textbook": style.GREEN,
+    "bare": style.GREEN,
     "CVODE": style.PURPLE,
     "SciPy": style.VERMILION,
 }

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.engines import cvode, own, scipy_ivp, textbook
+from benchmarks.engines import cvode, floor, own, scipy_ivp
 from benchmarks.reference import load_reference
 from benchmarks.trial import Outcome, Prepare, Progress, Trial, run_rounds
 from capture_sim.dynamics.bench import error_scale
@@ -75,7 +75,7 @@ def measure(scene: Scene, plan: Plan, progress: Progress) -> Contest:
     trials += own_trials(scene, plan, truth)
     for rtol in plan.rtols:
         changed = own.with_run(scene, rtol=rtol)
-        add("textbook DOP853", "textbook", rtol, functools.partial(textbook.prepare, changed))
+        add("bare C++ loop", "floor", rtol, functools.partial(floor.prepare, changed))
     for method in cvode.METHODS if cvode.version() else ():
         for rtol in plan.rtols:
             changed = own.with_run(scene, rtol=rtol)
@@ -104,7 +104,7 @@ def compiled(scene: Scene) -> Iterator[Prepare]:
     """Yield a short run of each program that is compiled."""
     scene = own.with_run(scene, t_end=1e-4)
     yield functools.partial(own.prepare, scene)
-    yield functools.partial(textbook.prepare, scene)
+    yield functools.partial(floor.prepare, scene)
     yield scipy_job(scene, "compiled", "LSODA", 1e-4, QUICK[0])
     for method in cvode.METHODS if cvode.version() else ():
         yield functools.partial(cvode.prepare, scene, method)

@@ -126,7 +126,7 @@ class Trial:
     family: str
     setting: str  # such as "rtol 1e-06"
     prepare: Prepare  # makes a run ready, untimed
-    group: str  # "own", "textbook", "library", "python", "numpy" or "engine"
+    group: str  # "own", "floor", "library", "python", "numpy" or "engine"
     truth: Outcome
     seconds: list[float] = field(default_factory=list)  # one a round; empty if it failed
     outcome: Outcome | None = None  # of the first run

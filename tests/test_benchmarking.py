@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks import costs, programs, speed
-from benchmarks.engines import cvode, own, textbook
+from benchmarks.engines import cvode, floor, own
 from benchmarks.machine import OthersAtWork
 from benchmarks.page import measured
 from benchmarks.plots import Point, chosen
@@ -39,9 +39,9 @@ def test_the_bench_agrees_with_the_references(name, method):
     assert begun == pytest.approx(starts[starts <= 0.35], abs=1e-9)
 
 
-def test_the_textbook_integrator_finds_the_touches_of_the_reference():
+def test_the_bare_loop_finds_the_touches_of_the_reference():
     scene = own.with_run(load_scene("paper_designed"), t_end=0.35, rtol=1e-9)
-    job, read = textbook.prepare(scene)
+    job, read = floor.prepare(scene)
     found = errors(read(job()), load_reference("paper_designed").at(0.35))
     assert found.touches == 7
     assert found.position < 1e-8
@@ -50,9 +50,17 @@ def test_the_textbook_integrator_finds_the_touches_of_the_reference():
 
 def test_a_run_with_more_touches_than_there_is_room_for_fails(monkeypatch):
     """Compiled code does not check where it writes: a run that chatters filled other memory."""
-    monkeypatch.setattr(textbook, "_ROOM", 6)
-    job, read = textbook.prepare(own.with_run(load_scene("paper_designed"), t_end=0.35, rtol=1e-9))
+    monkeypatch.setattr(floor, "_ROOM", 6)
+    job, read = floor.prepare(own.with_run(load_scene("paper_designed"), t_end=0.35, rtol=1e-9))
     assert read(job()).failure == "more than 6 touches"
+
+
+@pytest.mark.parametrize(
+    "name, changes", [("tilt_0", []), ("paper_designed", ["friction.law=none"])]
+)
+def test_the_bare_loop_refuses_a_scene_of_which_it_lacks_a_part(name, changes):
+    with pytest.raises(ValueError, match="the floor has"):
+        floor.prepare(load_scene(name, changes))
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +79,7 @@ def test_a_quick_benchmark_writes_its_page_and_every_trial(results, tmp_path):
     with (tmp_path / "benchmark" / "trials.csv").open(encoding="utf-8") as file:
         trials = list(csv.DictReader(file))
     names = {trial["program"] for trial in trials}
-    assert {"capture_sim dop853", "textbook DOP853", "SciPy DOP853"} < names
+    assert {"capture_sim dop853", "bare C++ loop", "SciPy DOP853"} < names
     for trial in trials:
         # a trial has its error and its cost, or the reason why not
         is_measured = trial["position_error_m_or_rad"] != "" and float(trial["least_s"]) > 0.0

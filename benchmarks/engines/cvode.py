@@ -21,15 +21,18 @@ import numpy as np
 from numba import carray, cfunc, njit
 
 from benchmarks.engines.own import packed
-from benchmarks.engines.textbook import JUST_OFF, wall_gap
+from benchmarks.engines.scipy_ivp import JUST_OFF
 from benchmarks.trial import TOUCHED, Outcome
+from capture_sim.base.compiled.kernels import kernel
 from capture_sim.dynamics.bench import error_scale
 from capture_sim.dynamics.model.equations import (
     N_STATE,
     N_TOTAL,
     SYSTEM,
+    gap_and_rate,
     make_system,
     rate_of_change,
+    tip_in_cone,
 )
 from capture_sim.scene.parts import Scene
 
@@ -41,6 +44,14 @@ _ROOM = 4096  # touches
 _FULL = -1000  # status of a run that has more; CVODE's own are above
 #: What CVODE hands to the C functions: the system, and room for one evaluation.
 _DATA = np.dtype([("system", SYSTEM), ("f", "f8", (N_TOTAL,))], align=True)
+
+
+@kernel
+def wall_gap(y, par, wall):
+    """Return a wall's gap (m) and its rate (m/s)."""
+    px, py, wx, wy = tip_in_cone(y, par)
+    gap, rate, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * wall, par)
+    return gap, rate
 
 
 def version() -> str:

@@ -36,7 +36,7 @@ from capture_sim.scene.parts import Scene
 METHODS = ("DOP853", "RK45", "LSODA", "BDF", "Radau")
 #: Right-hand sides that are handed to SciPy, by group.
 PROBLEMS = {"compiled": lambda scene: CompiledProblem(scene), "numpy": Model}
-_JUST_OFF = 1e-13  # m: gap at which a touch has ended, a thousand times its rounding
+JUST_OFF = 1e-13  # m: gap at which a touch has ended, a thousand times its rounding
 _GAUSS_X, _GAUSS_W = np.polynomial.legendre.leggauss(7)
 
 
@@ -176,7 +176,7 @@ def _gap_event(
     problem: Any, wall: int, touching: bool, deadline: float
 ) -> Callable[[float, np.ndarray], float]:
     """Return the event function of a wall: its gap, watched for the change that is to come."""
-    zero = _JUST_OFF if touching else 0.0
+    zero = JUST_OFF if touching else 0.0
 
     def event(_: float, y: np.ndarray) -> float:
         if time.perf_counter() > deadline:
