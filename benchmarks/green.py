@@ -3,19 +3,23 @@
     python -m benchmarks.green                  30 times, 2 hours; writes docs/node_suite.md
     python -m benchmarks.green --runs 2 --dry   only shows what it finds
 
-Two processes keep the processors busy, and a suite of three experiments runs in a loop in a domain
-of its own.  The output of a red run stays in build/green.
+Two processes keep the processors busy, a suite of three experiments runs in a loop in a domain of
+its own, and two runs go on at a time.  The output of a red run stays in build/green.  After a
+SIGTERM no further run begins, and what was run is reported.
 """
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 import subprocess
 import sys
 import threading
 import time
 import xml.etree.ElementTree as ET
 from argparse import Namespace
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -83,24 +87,34 @@ def run_tests(folder: Path, number: int) -> tuple[int, list[str]]:
 def measure_green(options: Namespace, folder: Path) -> list[str]:
     """Run the tests as often as it is asked for; return what is to be said of them."""
     shutil.rmtree(RED, ignore_errors=True)
-    took, counts, red = [], [], []
+    enough = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: enough.set())
+    took, counts, red, loads = [], [], [], []
+
+    def run(number: int) -> None:
+        if enough.is_set():
+            return
+        began = time.monotonic()
+        count, failed = run_tests(folder, number)
+        took.append(time.monotonic() - began)
+        counts.append(count)
+        loads.append(os.getloadavg()[1])
+        if failed:
+            red.append(f"- run {number}: {', '.join(failed)}")
+        text = f"run {number}: {count} tests, {len(failed)} failed, {took[-1]:.0f} s"
+        print(f"{text}, load {loads[-1]:.1f}", file=sys.stderr, flush=True)
+
     with ExitStack() as stack:
         burn(stack, options.busy)
         loop = stack.enter_context(Loop(folder))
-        for number in range(1, options.runs + 1):
-            began = time.monotonic()
-            count, failed = run_tests(folder, number)
-            took.append(time.monotonic() - began)
-            counts.append(count)
-            if failed:
-                red.append(f"- run {number}: {', '.join(failed)}")
-            text = f"run {number}: {count} tests, {len(failed)} failed, {took[-1]:.0f} s"
-            print(text, file=sys.stderr, flush=True)
+        with ThreadPoolExecutor(options.at_once) as lanes:
+            list(lanes.map(run, range(1, options.runs + 1)))
     return [
-        f"{options.runs} runs of `tests/nodes` ({max(counts)} tests), beside {options.busy} busy "
-        f"processes and {loop.runs} suites of three experiments in a loop: green "
-        f"{options.runs - len(red)}, red {len(red)}; {min(took):.0f} to {max(took):.0f} s each. "
-        f"Suites that failed: {loop.failed}.",
+        f"{len(took)} runs of `tests/nodes` ({max(counts)} tests), {options.at_once} at a time, "
+        f"beside {options.busy} busy processes and {loop.runs} suites of three experiments in a "
+        f"loop (load {min(loads):.0f} to {max(loads):.0f}): green {len(took) - len(red)}, red "
+        f"{len(red)}; {min(took):.0f} to {max(took):.0f} s each. Suites that failed: "
+        f"{loop.failed}.",
         *(["", *red] if red else []),
     ]
 
@@ -113,4 +127,5 @@ if __name__ == "__main__":
         untimed={"green"},
         runs=(30, "of the node tests"),
         busy=(2, "processes that keep the processors busy"),
+        at_once=(2, "of these runs"),
     )
