@@ -146,9 +146,9 @@ class Bench:
             rail["speed"] = math.hypot(chaser.vx, chaser.vy)
         if scene.supports is not None:
             if not (target.vx or target.vy or target.omega):
-                mode["rest_T"] = par["balls_T"][:, 2].any()
+                mode["rest_T"] = par["balls_T"][2].any()
             if scene.rail is None and not (chaser.vx or chaser.vy or chaser.omega):
-                mode["rest_S"] = par["balls_S"][:, 2].any()
+                mode["rest_S"] = par["balls_S"][2].any()
 
     def initial_workspace(self) -> np.ndarray:
         """Return a copy of the engine's record, (1,) of dtype WORKSPACE.

@@ -3,9 +3,10 @@
 import math
 
 import numpy as np
+import pytest
 
 from capture_sim.base.compiled.kernels import entry_kernel
-from capture_sim.dynamics.model.trig import hyperbolic_tangent, sine_cosine
+from capture_sim.dynamics.model.trig import hyperbolic_tangent, sine_cosine, sines_cosines
 
 
 @entry_kernel
@@ -32,6 +33,23 @@ def test_to_the_last_place_over_all_quarters_and_sizes():
     both(angles, sines, cosines)
     assert np.abs(sines - np.sin(angles)).max() <= 1.2e-16
     assert np.abs(cosines - np.cos(angles)).max() <= 1.2e-16
+
+
+@entry_kernel
+def of_three(angles, found):
+    """Evaluate rows of three angles."""
+    for i in range(angles.shape[0]):
+        found[i] = sines_cosines(angles[i, 0], angles[i, 1], angles[i, 2])
+
+
+@pytest.mark.parametrize("largest", [0.78, 2.0])  # all in one vector register, or one by one
+def test_three_angles_at_once(largest):
+    angles = np.random.default_rng(3).uniform(-largest, largest, (20_000, 3))
+    angles[0] = 0.0, -1e-9, 0.3
+    found = np.zeros((len(angles), 6))
+    of_three(angles, found)
+    assert np.abs(found[:, 0::2] - np.sin(angles)).max() <= 1.2e-16
+    assert np.abs(found[:, 1::2] - np.cos(angles)).max() <= 1.2e-16
 
 
 def test_what_is_not_a_number_stays_so():

@@ -41,6 +41,7 @@ _SOURCES = sorted(
         "base/compiled/kernels.py",
         "base/compiled/compiler.py",
         "base/compiled/numba_internals.py",
+        "base/compiled/vectors.py",
         "dynamics/samples.py",
         "scene/geometry.py",
         "detection/criteria.py",
@@ -164,9 +165,12 @@ def plain(function: F) -> F:
     python = function.py_func
     names = dict(python.__globals__)
     for name in python.__code__.co_names:
-        if isinstance(names.get(name), Kernel):
-            names[name] = plain(names[name])
-    copy: F = FunctionType(python.__code__, names, python.__name__)  # type: ignore[assignment]
+        value = getattr(names.get(name), "scalar", names.get(name))  # of an intrinsic
+        if isinstance(value, Kernel):
+            names[name] = plain(value)
+    copy: F = FunctionType(  # type: ignore[assignment]
+        python.__code__, names, python.__name__, python.__defaults__
+    )
     return copy
 
 

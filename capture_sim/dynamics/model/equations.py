@@ -18,11 +18,12 @@ from enum import IntEnum
 import numpy as np
 
 from capture_sim.base.compiled.kernels import inline_kernel, kernel, records
+from capture_sim.base.compiled.vectors import write_four
 from capture_sim.dynamics.model.contact import COULOMB, friction_coefficient, normal_force
 from capture_sim.dynamics.model.force_table import tabulated_spring
 from capture_sim.dynamics.model.parameters import PARAMETERS
 from capture_sim.dynamics.model.supports import rolling_wrench
-from capture_sim.dynamics.model.trig import sine_cosine
+from capture_sim.dynamics.model.trig import sine_cosine, sines_cosines
 from capture_sim.scene.geometry import nearest_on_wall, tip_motion, wall_curvature
 
 N_STATE = 16
@@ -136,9 +137,7 @@ def tip_in_cone(y, par):
     Returns (px, py, wx, wy): position in the target's frame, m, and velocity of the
     centre relative to the target's material there, in the same axes, m/s.
     """
-    sS, cS = sine_cosine(y[2])
-    sP, cP = sine_cosine(y[3])
-    sT, cT = sine_cosine(y[7])
+    sS, cS, sP, cP, sT, cT = sines_cosines(y[2], y[3], y[7])
     return tip_motion(y, par.a, sS, cS, sP, cP, sT, cT)
 
 
@@ -217,11 +216,11 @@ def tip_forces(y, system, px, py, wx, wy):
 
 
 @inline_kernel
-def chaser_accelerations(reduced_u, reduced_w, reduced_S, sD, cD, coupled, held, par):
-    """Return the chaser's accelerations along and across the probe (m/s^2) and about z (rad/s^2).
+def chaser_inertia(sD, cD, coupled, held, par):
+    """Return what :func:`chaser_accelerations` needs of the inertias.
 
-    For right-hand sides in which theta_P, and h unless ``held``, are eliminated; ``coupled`` is
-    the mass across the probe that turns with it, kg.
+    theta_P, and h unless it is ``held``, are eliminated; ``coupled`` is the mass across the probe
+    that turns with it, kg.
     """
     a, m_along, m_free, inverse_u = par.a, par.m_C, par.m_P, par.inverse_m_SC
     m_CP = par.m_C + par.m_P
@@ -234,8 +233,16 @@ def chaser_accelerations(reduced_u, reduced_w, reduced_S, sD, cD, coupled, held,
     inverse_w = 1.0 / S_w
     e_u = S_uS * inverse_u
     e_w = S_wS * inverse_w
-    # the reciprocal does not wait for the forces
-    inverse_S = 1.0 / (S_S - e_u * S_uS - e_w * S_wS)
+    return inverse_u, inverse_w, 1.0 / (S_S - e_u * S_uS - e_w * S_wS), e_u, e_w
+
+
+@inline_kernel
+def chaser_accelerations(reduced_u, reduced_w, reduced_S, inertia):
+    """Return the chaser's accelerations along and across the probe (m/s^2) and about z (rad/s^2).
+
+    For right-hand sides in which the same is eliminated as in ``inertia``.
+    """
+    inverse_u, inverse_w, inverse_S, e_u, e_w = inertia
     alpha = (reduced_S - e_u * reduced_u - e_w * reduced_w) * inverse_S
     return reduced_u * inverse_u - e_u * alpha, reduced_w * inverse_w - e_w * alpha, alpha
 
@@ -254,9 +261,8 @@ def arrest_probe(y, par):
     moment = par.first_moment_0 + par.m_P * y[4]
     ratio = moment / (par.hinge_inertia_0 + par.m_P * r * r)
     # changes of the rates by an impulse of 1 N s on the probe, outwards
-    along, across, turn = chaser_accelerations(
-        -1.0, 0.0, -a * sD, sD, cD, moment * ratio, False, par
-    )
+    chaser = chaser_inertia(sD, cD, moment * ratio, False, par)
+    along, across, turn = chaser_accelerations(-1.0, 0.0, -a * sD, chaser)
     rate = par.inverse_m_P - along - a * sD * turn
     impulse = -y[12] / rate
     lost = 0.5 * y[12] * y[12] / rate
@@ -279,8 +285,7 @@ def accelerate(y, f, system):
     system.evaluations += 1
     omega, spin, rate = y[10], y[11], y[12]
     h = y[4]
-    sS, cS = sine_cosine(y[2])
-    sP, cP = sine_cosine(y[3])
+    sS, cS, sP, cP, sT, cT = sines_cosines(y[2], y[3], y[7])
     cD = cP * cS + sP * sS
     sD = sP * cS - cP * sS
     a = par.a
@@ -289,6 +294,18 @@ def accelerate(y, f, system):
     moment = par.first_moment_0 + m_P * h
     inertia = par.hinge_inertia_0 + m_P * r * r
     inverse_P = 1.0 / inertia
+    # what does not wait for the forces comes first: divisions and roots take long
+    ratio = moment * inverse_P
+    chaser = chaser_inertia(sD, cD, moment * ratio, mode.held, par)
+    contact = mode.latched or mode.touch[0].on or mode.touch[1].on or mode.driven
+    rolling_S = (0.0, 0.0, 0.0, 0.0)
+    rolling_T = (0.0, 0.0, 0.0, 0.0)
+    if par.has_supports:
+        if not mode.rest_S:
+            rolling_S = rolling_wrench(y[8], y[9], omega, cS, sS, par.balls_S, par.v_eps_ball)
+        if not mode.rest_T:
+            rolling_T = rolling_wrench(y[13], y[14], y[15], cT, sT, par.balls_T, par.v_eps_ball)
+    out.rolling = rolling_S[3] + rolling_T[3]
 
     f_u = 0.0
     f_w = 0.0
@@ -296,19 +313,13 @@ def accelerate(y, f, system):
     gx = 0.0
     gy = 0.0
     target = 0.0
-    sT = 0.0
-    cT = 1.0
     out.hysteresis[0] = 0.0
     out.hysteresis[1] = 0.0
     out.friction = 0.0
     out.latch = 0.0
     out.normal[0] = 0.0
     out.normal[1] = 0.0
-    out.rolling = 0.0
     out.stop = 0.0
-    contact = mode.latched or mode.touch[0].on or mode.touch[1].on or mode.driven
-    if contact or par.has_supports:
-        sT, cT = sine_cosine(y[7])
     if contact:
         px, py, wx, wy = tip_motion(y, a, sS, cS, sP, cP, sT, cT)
         out.tip[0] = px
@@ -345,7 +356,6 @@ def accelerate(y, f, system):
         out.axial_force = axial - R_h
         R_h = 0.0
 
-    ratio = moment * inverse_P
     reduced_u = R_u - R_h
     reduced_w = R_w - ratio * R_P
     reduced_S = R_S - a * (cD * ratio * R_P + sD * R_h)
@@ -354,52 +364,33 @@ def accelerate(y, f, system):
     hold_m = reduced_S
 
     if mode.rest_S:
-        f[8] = 0.0
-        f[9] = 0.0
-        f[10] = 0.0
-        f[11] = R_P * inverse_P
-        f[12] = R_h * par.inverse_m_P  # 0 while the probe is held
+        acc_x = 0.0
+        acc_y = 0.0
+        alpha = 0.0
+        acc_P = R_P * inverse_P
+        acc_h = R_h * par.inverse_m_P  # 0 while the probe is held
     else:
-        if par.has_supports:
-            qx, qy, qm, lost = rolling_wrench(
-                y[8], y[9], omega, cS, sS, par.balls_S, par.v_eps_ball
-            )
-            reduced_u += qx * cP + qy * sP
-            reduced_w += qy * cP - qx * sP
-            reduced_S += qm
-            out.rolling += lost
-        acc_u, acc_w, alpha = chaser_accelerations(
-            reduced_u, reduced_w, reduced_S, sD, cD, moment * ratio, mode.held, par
-        )
-        f[8] = acc_u * cP - acc_w * sP
-        f[9] = acc_u * sP + acc_w * cP
-        f[10] = alpha
-        f[11] = (R_P - moment * (acc_w + a * cD * alpha)) * inverse_P
+        qx, qy, qm, _ = rolling_S
+        reduced_u += qx * cP + qy * sP
+        reduced_w += qy * cP - qx * sP
+        reduced_S += qm
+        acc_u, acc_w, alpha = chaser_accelerations(reduced_u, reduced_w, reduced_S, chaser)
+        acc_x = acc_u * cP - acc_w * sP
+        acc_y = acc_u * sP + acc_w * cP
+        acc_P = (R_P - moment * (acc_w + a * cD * alpha)) * inverse_P
         along = acc_u + a * sD * alpha
-        f[12] = R_h * par.inverse_m_P - along
+        acc_h = R_h * par.inverse_m_P - along
         if mode.held:
-            f[12] = 0.0
+            acc_h = 0.0
             out.axial_force += m_P * along
+    write_four(f, 8, acc_x, acc_y, alpha, acc_P)
 
     if mode.rest_T:
-        f[13] = 0.0
-        f[14] = 0.0
-        f[15] = 0.0
+        write_four(f, 12, acc_h, 0.0, 0.0, 0.0)
     else:
-        tx = -gx
-        ty = -gy
-        tm = target
-        if par.has_supports:
-            qx, qy, qm, lost = rolling_wrench(
-                y[13], y[14], y[15], cT, sT, par.balls_T, par.v_eps_ball
-            )
-            tx += qx
-            ty += qy
-            tm += qm
-            out.rolling += lost
-        f[13] = tx * par.inverse_m_T
-        f[14] = ty * par.inverse_m_T
-        f[15] = tm * par.inverse_I_T
+        qx, qy, qm, _ = rolling_T
+        acc_x, acc_y = (qx - gx) * par.inverse_m_T, (qy - gy) * par.inverse_m_T
+        write_four(f, 12, acc_h, acc_x, acc_y, (target + qm) * par.inverse_I_T)
     if par.has_supports:
         out.hold[0] = hold_x
         out.hold[1] = hold_y
@@ -541,9 +532,7 @@ def tip_and_acceleration(y, f, par):
 
     For accelerations f[8:16]; m, m/s and m/s^2.
     """
-    sS, cS = sine_cosine(y[2])
-    sP, cP = sine_cosine(y[3])
-    sT, cT = sine_cosine(y[7])
+    sS, cS, sP, cP, sT, cT = sines_cosines(y[2], y[3], y[7])
     px, py, wx, wy = tip_motion(y, par.a, sS, cS, sP, cP, sT, cT)
     h, omega, spin, turn = y[4], y[10], y[11], y[15]
     along = f[12] - h * spin * spin

@@ -9,6 +9,7 @@ import numpy as np
 
 from capture_sim.dynamics.model.contact import FRICTION_LAWS, HERTZ, HYSTERESIS_FACTOR
 from capture_sim.dynamics.model.force_table import FORCE_TABLE, force_table
+from capture_sim.dynamics.model.supports import BALLS, ball_rows
 from capture_sim.scene.ball_loads import LOADS, loads
 from capture_sim.scene.cache import depends_on
 from capture_sim.scene.parts import Scene
@@ -63,8 +64,8 @@ PARAMETERS = np.dtype(
         ("inverse_v_eps", "f8"),  # s/m
         ("has_supports", "i8"),
         ("v_eps_ball", "f8"),
-        ("balls_S", "f8", (3, 3)),  # x, y, limit c_rr N
-        ("balls_T", "f8", (3, 3)),
+        ("balls_S", "f8", BALLS),  # rows: x, y, limit c_rr N
+        ("balls_T", "f8", BALLS),
         ("has_latch", "i8"),
         ("latch_radius", "f8"),
         ("k_L", "f8"),
@@ -177,8 +178,8 @@ def _supports(scene: Scene) -> dict[str, Any]:
     for vehicle, name in (("chaser", "balls_S"), ("target", "balls_T")):
         support = getattr(scene.supports, vehicle)
         limits = (support.c_rr * loads(scene, vehicle)).tolist()
-        p[name] = [(x, y, limit) for (x, y), limit in zip(support.balls, limits, strict=True)]
-    p["rolling_limit_S"] = sum(limit for _, _, limit in p["balls_S"])
+        p[name] = ball_rows(support.balls, limits)
+    p["rolling_limit_S"] = sum(p["balls_S"][2])
     return p
 
 

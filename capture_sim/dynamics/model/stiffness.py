@@ -68,7 +68,7 @@ def stiffest_part(
     }
     if par["has_supports"]:
         for name, mass, balls in (("chaser", "m_total", "balls_S"), ("target", "m_T", "balls_T")):
-            limit = par[balls][:, 2].sum() / par["v_eps_ball"]
+            limit = par[balls][2].sum() / par["v_eps_ball"]
             dampers[f"rolling resistance of the {name} (supports.rolling_regularization_speed)"] = (
                 float(par[mass]),
                 limit,

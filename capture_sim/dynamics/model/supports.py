@@ -9,10 +9,27 @@ share of this limit that an applied wrench uses.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
+from numba import types
+from numba.extending import intrinsic
 
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
+from capture_sim.base.compiled.vectors import VectorCode, vectorized
+
+#: Of the squares of forces: round-off does not decide what is below this share of the limit's.
+_EASILY = 0.98
+#: Shape of the balls of a vehicle for the kernels: rows are x and y in the vehicle's frame (m) and
+#: the limit c_rr N (N) of three balls.  A fourth, empty column fills a vector register.
+BALLS = (3, 4)
+
+
+def ball_rows(places: Iterable[tuple[float, float]], limits: Iterable[float]) -> list[list[float]]:
+    """Return three balls at ``places`` (m) with the limits c_rr N (N), of the shape BALLS."""
+    xs, ys = zip(*places, strict=True)
+    return [[*xs, 0.0], [*ys, 0.0], [*limits, 0.0]]
 
 
 @inline_kernel
@@ -21,25 +38,66 @@ def rolling_wrench(
 ) -> tuple[float, float, float, float]:
     """Return rolling resistance on a vehicle: force x, y (N), torque (N m), power lost (W).
 
-    ``balls`` (3, 3): x, y in the vehicle's frame (m) and limit c_rr N (N); ``c, s`` cosine
-    and sine of its heading.  Below ``v_eps`` (m/s) the resistance falls off smoothly.
+    ``balls`` are of the shape BALLS; ``c, s`` cosine and sine of the vehicle's heading.  Below
+    ``v_eps`` (m/s) the resistance falls off smoothly.
     """
+    # in the vehicle's frame
+    along, across, torque = resistance(c * vx + s * vy, c * vy - s * vx, omega, balls, v_eps)
+    fx = s * across - c * along
+    fy = -s * along - c * across
+    return fx, fy, -torque, torque * omega - fx * vx - fy * vy
+
+
+@inline_kernel
+def resistance_of_each(ux, uy, omega, balls, v_eps):
+    """Return forces (N) and torque (N m) against the balls' motion, in the vehicle's frame."""
     fx = 0.0
     fy = 0.0
     torque = 0.0
-    power = 0.0
     for i in range(3):
-        rx = c * balls[i, 0] - s * balls[i, 1]
-        ry = s * balls[i, 0] + c * balls[i, 1]
-        ux = vx - omega * ry
-        uy = vy + omega * rx
-        square = ux * ux + uy * uy
-        g = balls[i, 2] / math.sqrt(square + v_eps * v_eps)
-        fx -= g * ux
-        fy -= g * uy
-        torque -= g * (rx * uy - ry * ux)
-        power += g * square
-    return fx, fy, torque, power
+        bx = ux - omega * balls[1, i]
+        by = uy + omega * balls[0, i]
+        g = balls[2, i] / math.sqrt(v_eps * v_eps + bx * bx + by * by)
+        fx += g * bx
+        fy += g * by
+        torque += balls[0, i] * (g * by) - balls[1, i] * (g * bx)
+    return fx, fy, torque
+
+
+@intrinsic
+def _resistance_at_once(
+    typingctx: Any, ux: Any, uy: Any, omega: Any, balls: Any, v_eps: Any
+) -> Any:
+    """Do what :func:`resistance_of_each` does, with the three balls in a vector register.
+
+    A square root and a division take as long for four numbers as for one.
+    """
+    number = types.float64
+    signature = types.UniTuple(number, 3)(number, number, number, balls, number)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        code = VectorCode(context, builder, signature, arguments)
+        x, y, limit = (code.load(code.data(3), 4 * row, 4) for row in range(3))
+        ux, uy, omega, v_eps = (code.broadcast(arguments[k], 4) for k in (0, 1, 2, 4))
+        bx = code.subtract(ux, code.multiply(omega, y))
+        by = code.add(uy, code.multiply(omega, x))
+        square = code.add(code.multiply(v_eps, v_eps), code.multiply(bx, bx))
+        square = code.add(square, code.multiply(by, by))
+        g = code.divide(limit, code.root(square, 4))
+        fx, fy = code.multiply(g, bx), code.multiply(g, by)
+        torque = code.subtract(code.multiply(x, fy), code.multiply(y, fx))
+        totals = []
+        for values in (fx, fy, torque):
+            total = code.lane(values, 0, 4)
+            for k in (1, 2):
+                total = code.add(total, code.lane(values, k, 4))
+            totals.append(total)
+        return context.make_tuple(builder, signature.return_type, totals)
+
+    return signature, generate
+
+
+resistance = vectorized(_resistance_at_once, resistance_of_each)
 
 
 @kernel
@@ -49,8 +107,8 @@ def fastest_ball(
     """Return the speed of the fastest ball, m/s."""
     fastest = 0.0
     for i in range(3):
-        rx = c * balls[i, 0] - s * balls[i, 1]
-        ry = s * balls[i, 0] + c * balls[i, 1]
+        rx = c * balls[0, i] - s * balls[1, i]
+        ry = s * balls[0, i] + c * balls[1, i]
         ux = vx - omega * ry
         uy = vy + omega * rx
         fastest = max(fastest, ux * ux + uy * uy)
@@ -58,16 +116,64 @@ def fastest_ball(
 
 
 @kernel
+def is_held(
+    fx: float, fy: float, torque: float, c: float, s: float, balls: np.ndarray, share: float
+) -> bool:
+    """Return True if the supports hold a wrench with at most this share of their limit."""
+    if is_easily_held(fx, fy, torque, c, s, balls, share):
+        return True
+    return load_factor(fx, fy, torque, c, s, balls, share) <= share
+
+
+@inline_kernel
+def is_easily_held(fx, fy, torque, c, s, balls, share):
+    """Return True if each ball certainly needs less than ``share`` of its limit.
+
+    A cheap test: force in proportion to the limits, torque by forces around their centre, is one
+    way to balance a wrench.  False may be either.
+    """
+    limit = balls[2, 0] + balls[2, 1] + balls[2, 2]
+    if limit <= 0.0:
+        return False
+    x = (balls[0, 0] * balls[2, 0] + balls[0, 1] * balls[2, 1] + balls[0, 2] * balls[2, 2]) / limit
+    y = (balls[1, 0] * balls[2, 0] + balls[1, 1] * balls[2, 1] + balls[1, 2] * balls[2, 2]) / limit
+    along, across = (c * fx + s * fy) / limit, (c * fy - s * fx) / limit
+    spread = 0.0
+    for i in range(3):
+        dx, dy = balls[0, i] - x, balls[1, i] - y
+        spread += balls[2, i] * (dx * dx + dy * dy)
+    moment = torque - limit * (x * across - y * along)
+    turning = moment / spread if spread > 0.0 else 0.0
+    if spread == 0.0 and moment != 0.0:
+        return False
+    for i in range(3):
+        if balls[2, i] > 0.0:
+            force_x = along - turning * (balls[1, i] - y)
+            force_y = across + turning * (balls[0, i] - x)
+            if force_x * force_x + force_y * force_y > _EASILY * share * share:
+                return False
+    return True
+
+
+@kernel
 def load_factor(
-    fx: float, fy: float, torque: float, c: float, s: float, balls: np.ndarray
+    fx: float,
+    fy: float,
+    torque: float,
+    c: float,
+    s: float,
+    balls: np.ndarray,
+    enough: float = math.inf,
 ) -> float:
     """Return the share of the supports' limit that a wrench uses; above 1 the vehicle moves.
+
+    A share above ``enough`` may be returned too low, but above that.
 
     It is the maximum of (power of the wrench) / (power that the balls dissipate) over all motions
     of the body.  For a turn about one of the balls, where that ratio has a corner, there is a
     closed form; all other motions are searched by iteratively reweighted least squares.
     """
-    limit = balls[0, 2] + balls[1, 2] + balls[2, 2]
+    limit = balls[2, 0] + balls[2, 1] + balls[2, 2]
     if limit <= 0.0:
         return math.inf
     if fx == 0.0 and fy == 0.0 and torque == 0.0:
@@ -75,7 +181,7 @@ def load_factor(
     # in the vehicle's frame, with the distance of the farthest ball as unit of length
     arm = 0.0
     for i in range(3):
-        arm = max(arm, math.hypot(balls[i, 0], balls[i, 1]))
+        arm = max(arm, math.hypot(balls[0, i], balls[1, i]))
     if arm == 0.0:
         arm = 1.0
     w0, w1, w2 = c * fx + s * fy, c * fy - s * fx, torque / arm
@@ -85,7 +191,9 @@ def load_factor(
         if held:
             return ratio
         share = max(share, ratio)
-    return max(share, share_by_search(w0, w1, w2, balls, arm))
+    if share > enough:
+        return share
+    return max(share, share_by_search(w0, w1, w2, balls, arm, enough))
 
 
 @kernel
@@ -96,36 +204,39 @@ def share_by_turn(w0, w1, w2, balls, i, arm):
     """
     resisted = f0 = f1 = 0.0
     for j in range(3):
-        dx, dy = (balls[j, 0] - balls[i, 0]) / arm, (balls[j, 1] - balls[i, 1]) / arm
+        dx, dy = (balls[0, j] - balls[0, i]) / arm, (balls[1, j] - balls[1, i]) / arm
         distance = math.sqrt(dx * dx + dy * dy)
         if distance > 0.0:
-            resisted += balls[j, 2] * distance
-            f0 -= balls[j, 2] * dy / distance
-            f1 += balls[j, 2] * dx / distance
-    moment = w2 - (balls[i, 0] * w1 - balls[i, 1] * w0) / arm
+            resisted += balls[2, j] * distance
+            f0 -= balls[2, j] * dy / distance
+            f1 += balls[2, j] * dx / distance
+    moment = w2 - (balls[0, i] * w1 - balls[1, i] * w0) / arm
     if resisted <= 0.0:
         return 0.0, False
     ratio = abs(moment) / resisted
     turned = math.copysign(ratio, moment)
-    return ratio, math.hypot(w0 - turned * f0, w1 - turned * f1) <= ratio * balls[i, 2]
+    return ratio, math.hypot(w0 - turned * f0, w1 - turned * f1) <= ratio * balls[2, i]
 
 
 @kernel
-def share_by_search(w0, w1, w2, balls, arm):
-    """Return the largest share of the limit over all motions, by an iteration from below."""
+def share_by_search(w0, w1, w2, balls, arm, enough):
+    """Return the largest share of the limit over all motions, by an iteration from below.
+
+    It ends early above ``enough``.
+    """
     norm = math.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
     w0, w1, w2 = w0 / norm, w1 / norm, w2 / norm
     best = math.inf
-    g0 = balls[0, 2]
-    g1 = balls[1, 2]
+    g0 = balls[2, 0]
+    g1 = balls[2, 1]
     g2 = balls[2, 2]
     floor = 1e-12
     for _ in range(200):
         axx = ayy = att = axt = ayt = 0.0
         for i in range(3):
             g = g0 if i == 0 else (g1 if i == 1 else g2)
-            rx = balls[i, 0] / arm
-            ry = balls[i, 1] / arm
+            rx = balls[0, i] / arm
+            ry = balls[1, i] / arm
             axx += g
             axt -= g * ry
             ayt += g * rx
@@ -142,9 +253,10 @@ def share_by_search(w0, w1, w2, balls, arm):
         x, y, t = x / power, y / power, t / power
         resisted = 0.0
         for i in range(3):
-            speed = math.hypot(x - t * balls[i, 1] / arm, y + t * balls[i, 0] / arm)
-            resisted += balls[i, 2] * speed
-            g = balls[i, 2] / max(speed, floor)
+            ux, uy = x - t * balls[1, i] / arm, y + t * balls[0, i] / arm
+            speed = math.sqrt(ux * ux + uy * uy)  # a third of the time of hypot
+            resisted += balls[2, i] * speed
+            g = balls[2, i] / max(speed, floor)
             if i == 0:
                 g0 = g
             elif i == 1:
@@ -153,6 +265,6 @@ def share_by_search(w0, w1, w2, balls, arm):
                 g2 = g
         done = resisted >= best * (1.0 - 1e-13)
         best = min(best, resisted)
-        if done:
+        if done or norm > enough * best:
             break
     return norm / best

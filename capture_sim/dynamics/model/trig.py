@@ -11,10 +11,15 @@ four units in the last place.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numba import types
+from numba.extending import intrinsic
 
-from capture_sim.base.compiled.kernels import inline_kernel
+from capture_sim.base.compiled.kernels import inline_kernel, kernel
+from capture_sim.base.compiled.vectors import VectorCode, vectorized
 
 _TWO_OVER_PI = 6.36619772367581382433e-01
 _EIGHTH = 0.785398163397448  # rad
@@ -28,6 +33,31 @@ _LN2_TAIL = 1.90821492927058770002e-10
 _POWERS_OF_2 = 2.0 ** np.arange(64)
 
 
+#: Coefficients of the sine's powers 3 to 13 and of the cosine's powers 4 to 14 (fdlibm).
+_SINE = (
+    *(-1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04),
+    *(2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10),
+)
+_COSINE = (
+    *(4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05),
+    *(-2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11),
+)
+
+
+@inline_kernel
+def _polynomials(x):
+    """Return (sin, cos) of an angle (rad) below an eighth turn."""
+    # in pairs of terms: half as long a chain of dependent operations
+    z = x * x
+    w = z * z
+    a, b = _SINE, _COSINE
+    s = (a[0] + z * a[1]) + w * ((a[2] + z * a[3]) + w * (a[4] + z * a[5]))
+    c = (b[0] + z * b[1]) + w * ((b[2] + z * b[3]) + w * (b[4] + z * b[5]))
+    half = 0.5 * z
+    top = 1.0 - half
+    return x + x * z * s, top + (((1.0 - top) - half) + w * c)
+
+
 @inline_kernel
 def sine_cosine(angle):
     """Return (sin, cos) of an angle, rad."""
@@ -38,21 +68,7 @@ def sine_cosine(angle):
             return math.sin(angle), math.cos(angle)
         turns = math.floor(angle * _TWO_OVER_PI + 0.5)
         x = angle - turns * _HALF_PI_HEAD - turns * _HALF_PI_TAIL
-    # both polynomials in pairs of terms: half as long a chain of dependent operations
-    z = x * x
-    w = z * z
-    s = (-1.66666666666666324348e-01 + z * 8.33333333332248946124e-03) + w * (
-        (-1.98412698298579493134e-04 + z * 2.75573137070700676789e-06)
-        + w * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)
-    )
-    s = x + x * z * s
-    c = (4.16666666666666019037e-02 + z * -1.38888888888741095749e-03) + w * (
-        (2.48015872894767294178e-05 + z * -2.75573143513906633035e-07)
-        + w * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11)
-    )
-    half = 0.5 * z
-    top = 1.0 - half
-    c = top + (((1.0 - top) - half) + w * c)
+    s, c = _polynomials(x)
     if turns == 0.0:
         return s, c
     quarter = int(turns) & 3
@@ -63,6 +79,56 @@ def sine_cosine(angle):
     if (quarter + 1) & 2:
         c = -c
     return s, c
+
+
+@kernel
+def _one_by_one(a, b, c):
+    """Return the sines and cosines of three angles, rad."""
+    s_a, c_a = sine_cosine(a)
+    s_b, c_b = sine_cosine(b)
+    s_c, c_c = sine_cosine(c)
+    return s_a, c_a, s_b, c_b, s_c, c_c
+
+
+@intrinsic
+def _at_once(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
+    """Do what :func:`_polynomials` does, for three angles in a vector register."""
+    number = types.float64
+    signature = types.UniTuple(number, 6)(number, number, number)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        code = VectorCode(context, builder, signature, arguments)
+        add, subtract, multiply = code.add, code.subtract, code.multiply
+        one = code.constant(1.0, 4)
+        x = code.vector([*arguments, arguments[2]])
+        z = multiply(x, x)
+        w = multiply(z, z)
+
+        def sum_of(coefficients: Sequence[float]) -> Any:
+            k = [code.constant(value, 4) for value in coefficients]
+            first, second, third = (add(k[i], multiply(z, k[i + 1])) for i in (0, 2, 4))
+            return add(first, multiply(w, add(second, multiply(w, third))))
+
+        sines = add(x, multiply(multiply(x, z), sum_of(_SINE)))
+        half = multiply(code.constant(0.5, 4), z)
+        top = subtract(one, half)
+        rest = add(subtract(subtract(one, top), half), multiply(w, sum_of(_COSINE)))
+        both = sines, add(top, rest)
+        found = [code.lane(values, k, 4) for k in range(3) for values in both]
+        return context.make_tuple(builder, signature.return_type, found)
+
+    return signature, generate
+
+
+_small = vectorized(_at_once, _one_by_one)
+
+
+@inline_kernel
+def sines_cosines(a, b, c):
+    """Return (sin a, cos a, sin b, cos b, sin c, cos c) of three angles, rad."""
+    if abs(a) < _EIGHTH and abs(b) < _EIGHTH and abs(c) < _EIGHTH:
+        return _small(a, b, c)
+    return _one_by_one(a, b, c)
 
 
 @inline_kernel

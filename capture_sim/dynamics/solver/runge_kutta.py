@@ -15,7 +15,7 @@ import numpy as np
 
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
 from capture_sim.dynamics.solver.pairs import MAX_ROWS, MAX_STAGES, Pair
-from capture_sim.dynamics.solver.rows import add_rows
+from capture_sim.dynamics.solver.rows import add_rows, squares_of_sums
 
 # step control as in DOPRI5 and DOP853 (Hairer, Norsett and Wanner 1993, II.4)
 SAFETY = 0.9
@@ -37,11 +37,18 @@ def stepper_type(total: int, watched: int) -> np.dtype:
     square, room = (MAX_STAGES, MAX_STAGES), (MAX_STAGES,)
     return np.dtype(
         [
-            ("A", "f8", square),
             ("C", "f8", room),
+            # weights that are not zero, with the numbers of their stages and how many they are
+            ("A", "f8", square),
+            ("A_stages", "i8", square),
+            ("A_count", "i8", room),
             ("E5", "f8", room),
             ("E3", "f8", room),
+            ("E_stages", "i8", room),
+            ("E_count", "i8"),
             ("G", "f8", (MAX_ROWS, MAX_STAGES)),
+            ("G_stages", "i8", (MAX_ROWS, MAX_STAGES)),
+            ("G_count", "i8", (MAX_ROWS,)),
             ("stages", "i8"),
             ("total_stages", "i8"),  # with those of the dense output
             ("rows", "i8"),
@@ -51,8 +58,6 @@ def stepper_type(total: int, watched: int) -> np.dtype:
             ("y_stage", "f8", (total,)),
             ("K", "f8", (MAX_STAGES, total)),  # dy/dt at the stages
             ("F", "f8", (MAX_ROWS, total)),  # dense output
-            ("e_5", "f8", (watched,)),
-            ("e_3", "f8", (watched,)),
             ("weights", "f8", (watched,)),  # 1 / permitted error of a step
         ],
         align=True,
@@ -62,10 +67,16 @@ def stepper_type(total: int, watched: int) -> np.dtype:
 def set_pair(memory: Any, pair: Pair) -> None:
     """Write a pair's coefficients into a stepper's memory."""
     total, rows, s = len(pair.C), len(pair.G), pair.stages
-    memory["A"][:total, :total] = pair.A
     memory["C"][:total] = pair.C
-    memory["E5"][: s + 1], memory["E3"][: s + 1] = pair.E5, pair.E3
-    memory["G"][:rows, :total] = pair.G
+    for name, matrix in (("A", pair.A), ("G", pair.G)):
+        for row, weights in enumerate(matrix):
+            (chosen,) = np.nonzero(weights)
+            memory[name][row, : len(chosen)] = weights[chosen]
+            memory[f"{name}_stages"][row, : len(chosen)] = chosen
+            memory[f"{name}_count"][row] = len(chosen)
+    (chosen,) = np.nonzero((pair.E5 != 0.0) | (pair.E3 != 0.0))
+    memory["E_stages"][: len(chosen)], memory["E_count"] = chosen, len(chosen)
+    memory["E5"][: len(chosen)], memory["E3"][: len(chosen)] = pair.E5[chosen], pair.E3[chosen]
     memory["stages"], memory["total_stages"], memory["rows"] = s, total, rows
     memory["order"] = pair.order
 
@@ -99,6 +110,17 @@ def dense(step, x, y_inside, n):
         y_inside[i] += y[i]
 
 
+@inline_kernel
+def dense_entry(step, x, i):
+    """Return entry ``i`` of y inside a step, as :func:`dense` does."""
+    F, rows = step.F, step.rows
+    total = 0.0
+    for k in range(rows):
+        r = rows - 1 - k
+        total = (total + F[r, i]) * (x if r % 2 == 0 else 1.0 - x)
+    return total + step.y[i]
+
+
 class Stepper(NamedTuple):
     """The compiled steps of one right-hand side."""
 
@@ -118,7 +140,9 @@ def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int)
     @kernel
     def stage(system, step, s, t, h):
         """Evaluate stage ``s`` from the stages before it into K[s]."""
-        add_rows(step.y_stage, step.y, step.K, step.A[s], s, h, states)
+        add_rows(
+            step.y_stage, step.y, step.K, step.A_stages[s], step.A[s], step.A_count[s], h, states
+        )
         rhs(t + step.C[s] * h, step.y_stage, step.K[s], system)
 
     @kernel
@@ -131,18 +155,12 @@ def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int)
         K, stages = step.K, step.stages
         for s in range(1, stages):
             stage(system, step, s, t, h)
-        add_rows(step.y_new, step.y, K, step.A[stages], stages, h, total)
+        count = step.A_count[stages]
+        add_rows(step.y_new, step.y, K, step.A_stages[stages], step.A[stages], count, h, total)
         rhs(t + h, step.y_new, K[stages], system)
-        e_5, e_3, weights = step.e_5, step.e_3, step.weights
-        add_rows(e_5, None, K, step.E5, stages + 1, h, watched)
-        add_rows(e_3, None, K, step.E3, stages + 1, h, watched)
-        sum5 = 0.0
-        sum3 = 0.0
-        for i in range(watched):
-            a = e_5[i] * weights[i]
-            b = e_3[i] * weights[i]
-            sum5 += a * a
-            sum3 += b * b
+        sum5, sum3 = squares_of_sums(
+            step.weights, K, step.E_stages, step.E5, step.E3, step.E_count, h, watched
+        )
         if sum5 == 0.0:
             return 0.0
         return sum5 / math.sqrt((sum5 + 0.01 * sum3) * watched)
@@ -153,6 +171,7 @@ def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int)
         for s in range(step.stages + 1, step.total_stages):
             stage(system, step, s, t, h)
         for r in range(step.rows):
-            add_rows(step.F[r], None, step.K, step.G[r], step.total_stages, h, total)
+            count = step.G_count[r]
+            add_rows(step.F[r], None, step.K, step.G_stages[r], step.G[r], count, h, total)
 
     return Stepper(try_step, prepare_dense)
