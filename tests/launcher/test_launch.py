@@ -8,7 +8,7 @@ from maximal_model import limit_used
 
 from capture_sim import SceneError, load_scene, simulate
 from capture_sim.base.compiled.kernels import plain
-from capture_sim.dynamics.model.supports import load_factor, rolling_wrench
+from capture_sim.dynamics.model.supports import ball_rows, is_held, load_factor, rolling_wrench
 from capture_sim.launcher.state_machine import (
     Launcher,
     LauncherPhase,
@@ -184,13 +184,18 @@ def test_loads_balance_weight_and_moment():
 BALLS = np.array([[0.1, 0.0, 2.0], [-0.05, 0.0866025403784, 2.0], [-0.05, -0.0866025403784, 2.0]])
 
 
+def rows_of(balls):
+    """Balls given by place and limit, as the kernels have them."""
+    return np.array(ball_rows(balls[:, :2], balls[:, 2]))
+
+
 def test_limit_of_the_supports_against_an_optimiser():
     """That of the independent model: the least of a convex function, by Nelder and Mead."""
     rng = np.random.default_rng(3)
     balls = np.array([[0.12, 0.01, 1.0], [-0.06, 0.104, 2.5], [-0.05, -0.11, 0.7]])
     for _ in range(30):
         angle, w = rng.uniform(-3, 3), rng.normal(size=3) * np.array([3, 3, 0.3])
-        found = plain(load_factor)(*w, math.cos(angle), math.sin(angle), balls)
+        found = plain(load_factor)(*w, math.cos(angle), math.sin(angle), rows_of(balls))
         limit = limit_used(w, balls, angle)
         assert (1 - 1e-6) * limit <= found <= (1 + 1e-9) * limit  # it comes from below
 
@@ -213,15 +218,33 @@ def test_limit_of_the_supports_for_a_turn_about_one_ball_has_a_closed_form(still
         c, s = math.cos(angle), math.sin(angle)
         turned = c * wrench[0] - s * wrench[1], s * wrench[0] + c * wrench[1], wrench[2]
         for share in (0.3, 1.0, 7.0):
-            found = plain(load_factor)(*(share * np.array(turned)), c, s, balls)
+            found = plain(load_factor)(*(share * np.array(turned)), c, s, rows_of(balls))
             assert found == pytest.approx(share, rel=1e-12)
 
 
+@pytest.mark.parametrize("share", [0.98, 1.0])
+def test_supports_hold_what_is_below_a_share_of_their_limit_and_nothing_above(share):
+    """The cheap answer and the search that ends early, beside the exact share."""
+    rng = np.random.default_rng(11)
+    hold, answers = plain(is_held), []
+    for _ in range(300):
+        balls = np.column_stack([rng.uniform(-0.3, 0.3, (3, 2)), rng.uniform(0.0, 1.0, 3)])
+        rows, angle = rows_of(balls), rng.uniform(-3.0, 3.0)
+        heading = math.cos(angle), math.sin(angle)
+        wrench = rng.normal(size=3) * (1.0, 1.0, 0.2)
+        wrench /= plain(load_factor)(*wrench, *heading, rows)
+        for factor in (0.2, 0.7, 1.0 - 1e-9, 1.0 + 1e-9, 1.5, 10.0):
+            held = hold(*(share * factor * wrench), *heading, rows, share)
+            assert held == (factor < 1.0)
+            answers.append(held)
+    assert 0 < sum(answers) < len(answers)
+
+
 def test_rolling_resistance_opposes_each_ball():
-    fx, fy, torque, power = plain(rolling_wrench)(0.1, 0.0, 0.0, 1.0, 0.0, BALLS, 1e-9)
+    fx, fy, torque, power = plain(rolling_wrench)(0.1, 0.0, 0.0, 1.0, 0.0, rows_of(BALLS), 1e-9)
     assert (fx, fy, torque) == pytest.approx((-6.0, 0.0, 0.0), abs=1e-12)
     assert power == pytest.approx(0.6)
-    fx, fy, torque, power = plain(rolling_wrench)(0.0, 0.0, 2.0, 1.0, 0.0, BALLS, 1e-9)
+    fx, fy, torque, power = plain(rolling_wrench)(0.0, 0.0, 2.0, 1.0, 0.0, rows_of(BALLS), 1e-9)
     assert (fx, fy) == pytest.approx((0.0, 0.0), abs=1e-9)
     assert torque == pytest.approx(-0.6)
     assert power == pytest.approx(1.2)

@@ -10,8 +10,8 @@ from capture_sim.dynamics.engine.events import (
     SLIP_FLOOR,
     held_load,
     hold_limits,
+    is_held_at_rest,
     is_slow,
-    ratio_of_limit,
 )
 from capture_sim.dynamics.engine.state import NO_EVENT
 from capture_sim.dynamics.model.contact import COULOMB, normal_force
@@ -161,7 +161,7 @@ def may_rest(w, which):
     for i in range(first, first + 3):
         y[i] = 0.0
     solve_accelerations(y, w.system.spare[0], w.system)
-    return ratio_of_limit(y, w.system.par, w.system.out.hold, which) < _REST_SHARE
+    return is_held_at_rest(y, w.system.par, w.system.out.hold, which, _REST_SHARE)
 
 
 @kernel

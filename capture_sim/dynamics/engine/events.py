@@ -30,10 +30,10 @@ from capture_sim.dynamics.model.equations import (
     stop_force,
     tip_in_cone,
 )
-from capture_sim.dynamics.model.supports import fastest_ball, load_factor
+from capture_sim.dynamics.model.supports import fastest_ball, is_held, load_factor
 from capture_sim.dynamics.model.trig import sine_cosine
 from capture_sim.dynamics.samples import EventKind
-from capture_sim.dynamics.solver.roots import cubic_minimum, may_cross
+from capture_sim.dynamics.solver.roots import cubic_minimum, itp_trial, may_cross
 
 #: Error of the cubic of a function over a step, as a share of the function's changes.
 _CUBIC_ERROR = 0.05
@@ -57,6 +57,8 @@ _REST_SPEED = 5.0
 _BRACKET_FACTOR = 3.0
 #: Share of the step: a function that rises from zero is sought above zero down to this fraction.
 _SHORTEST_RISE = 1e-15
+#: Share of the step to which the zero of a margin is located.
+_MARGIN_WIDTH = 1e-15
 _NO_CROSSING = 2.0  # beyond the end of the step
 
 
@@ -225,30 +227,47 @@ def first_crossing(w, kind, which):
 
 
 @kernel
-def is_slow(y, par, which, factor):
-    """Return True if a vehicle is slower than ``factor`` times the rest speed."""
+def excess_speed(y, par, which, factor):
+    """Return by how much a vehicle is faster than ``factor`` times the rest speed, m/s.
+
+    Far above it, a lower limit of that.
+    """
     limit = factor * _REST_SPEED * par.v_eps_ball
     first, heading, balls = (8, 2, par.balls_S) if which == 0 else (13, 7, par.balls_T)
     vx, vy, omega = y[first], y[first + 1], y[first + 2]
     # lower limit of the first ball's speed, without sines
-    turning = abs(omega) * (abs(balls[0, 0]) + abs(balls[0, 1]))
-    if max(abs(vx), abs(vy)) > limit + turning:
-        return False
+    turning = abs(omega) * (abs(balls[0, 0]) + abs(balls[1, 0]))
+    above = max(abs(vx), abs(vy)) - limit - turning
+    if above > 0.0:
+        return above
     s, c = sine_cosine(y[heading])
-    return fastest_ball(vx, vy, omega, c, s, balls) < limit
+    return fastest_ball(vx, vy, omega, c, s, balls) - limit
 
 
 @kernel
-def ratio_of_limit(y, par, hold, which):
-    """Return the share of its supports' limit that a vehicle needs to stay at rest.
+def is_slow(y, par, which, factor):
+    """Return True if a vehicle is slower than ``factor`` times the rest speed."""
+    return excess_speed(y, par, which, factor) < 0.0
 
-    ``hold`` (6,) is the load on the supports at ``y``, see ``OUT``.
+
+@inline_kernel
+def load_of_vehicle(y, par, hold, which):
+    """Return the wrench that a vehicle at rest puts on its supports, its heading and its balls.
+
+    As the arguments of :func:`load_factor`; ``hold`` (6,) is the load at ``y``, see ``OUT``.
     """
     if which == 0:
         s, c = sine_cosine(y[2])
-        return load_factor(hold[0], hold[1], hold[2], c, s, par.balls_S)
+        return hold[0], hold[1], hold[2], c, s, par.balls_S
     s, c = sine_cosine(y[7])
-    return load_factor(hold[3], hold[4], hold[5], c, s, par.balls_T)
+    return hold[3], hold[4], hold[5], c, s, par.balls_T
+
+
+@kernel
+def is_held_at_rest(y, par, hold, which, share):
+    """Return True if the supports hold a vehicle at rest with at most this share of their limit."""
+    fx, fy, torque, c, s, balls = load_of_vehicle(y, par, hold, which)
+    return is_held(fx, fy, torque, c, s, balls, share)
 
 
 @kernel
@@ -289,11 +308,14 @@ def is_sticking_tip(mode, i):
 
 
 @kernel
-def slip_changes(y, system, i):
-    """Return True if tip or probe slides no more in its direction, or the tip sticks no more."""
+def slip_margin(y, system, i):
+    """Return what is left before tip or probe slides no more in its direction, or sticks no more.
+
+    A speed (m/s) or a force (N), 0 or below if it is so already.
+    """
     if is_sticking_tip(system.mode, i):
-        return unused_friction(y, system, i) <= 0.0
-    return forward_slip(y, system, i) <= 0.0
+        return unused_friction(y, system, i)
+    return forward_slip(y, system, i)
 
 
 @kernel
@@ -382,34 +404,46 @@ def release_of(mode):
 
 
 @kernel
-def condition_holds(y, system, kind, which):
-    """Return True if the condition of MOVING, AT_REST, STICK, UNSEATED or a probe's SLIP is met."""
+def margin(y, system, kind, which):
+    """Return a continuous function, above 0 before an event without a rate and 0 where it happens.
+
+    The events are MOVING, AT_REST, STICK, UNSEATED and the SLIP of a probe.
+    """
     if kind == EventKind.UNSEATED or kind == EventKind.SLIP:
         load = held_load(y, system)
         lower, upper = hold_limits(y, system)
-        return load >= upper or load <= lower
+        return min(upper - load, load - lower)
     if kind == EventKind.MOVING:
         solve_accelerations(y, system.spare[0], system)
-        return ratio_of_limit(y, system.par, system.out.hold, which) > 1.0
+        fx, fy, torque, c, s, balls = load_of_vehicle(y, system.par, system.out.hold, which)
+        return 1.0 - load_factor(fx, fy, torque, c, s, balls)
     if kind == EventKind.AT_REST:
-        return is_slow(y, system.par, which, 1.0)
-    return slip_changes(y, system, which)
+        return excess_speed(y, system.par, which, 1.0)
+    return slip_margin(y, system, which)
 
 
 @kernel
-def bisect_condition(w, kind, which, x_b):
-    """Return the fraction of the step at which a condition is first met, for one met at ``x_b``.
+def locate_zero(w, kind, which, x_b):
+    """Return the fraction of the step at which a margin first is 0, for one that is so at ``x_b``.
 
-    Newton's method would fail: the margin is often zero at the start as well (slip after a change).
+    To round-off; by the method of Oliveira and Takahashi (2020), which needs no slope: secants that
+    never take longer than a bisection.  It falls back to that where the margin is not above 0 at
+    the start, as that of a slip after a change.
     """
-    x_a, y = 0.0, w.scratch.sought
-    while x_b - x_a > 1e-15:
-        x = 0.5 * (x_a + x_b)
+    y = w.scratch.sought
+    x_a, g_a = 0.0, margin(w.stepper.y, w.system, kind, which)
+    state_inside(w, x_b, y)
+    g_b = min(margin(y, w.system, kind, which), 0.0)
+    radius = 0.5 * x_b
+    while x_b - x_a > _MARGIN_WIDTH:
+        x = itp_trial(x_a, g_a, x_b, g_b, radius)
+        radius *= 0.5
         state_inside(w, x, y)
-        if condition_holds(y, w.system, kind, which):
-            x_b = x
+        g = margin(y, w.system, kind, which)
+        if g > 0.0:
+            x_a, g_a = x, g
         else:
-            x_a = x
+            x_b, g_b = x, g
     return x_b
 
 
@@ -423,7 +457,7 @@ def slip_changed_by(w, i):
     checked inside the step; while sliding, only if the cubic of the slip may cross zero.
     """
     system, stepper = w.system, w.stepper
-    if slip_changes(stepper.y_new, system, i):
+    if slip_margin(stepper.y_new, system, i) <= 0.0:
         return 1.0
     x_dip = -1.0
     if not is_sticking_tip(system.mode, i):
@@ -439,7 +473,7 @@ def slip_changed_by(w, i):
         x = 0.25 * (k + 1) if k < 3 else x_dip
         if 0.0 < x < earliest:
             state_inside(w, x, y)
-            if slip_changes(y, system, i):
+            if slip_margin(y, system, i) <= 0.0:
                 earliest = x
     return earliest
 
@@ -476,7 +510,7 @@ def search_step(w):
                 if mode.touch[i].on:
                     x = slip_changed_by(w, i)
                     if x <= 1.0:
-                        x = bisect_condition(w, EventKind.STICK, i, x)
+                        x = locate_zero(w, EventKind.STICK, i, x)
                         keep_earliest(w, x, EventKind.STICK, i)
     if (
         par.has_latch
@@ -501,12 +535,12 @@ def search_step(w):
         x = hold_lost_by(w)
         if x <= 1.0:
             kind, place = release_of(mode)
-            x = bisect_condition(w, kind, place, x)
+            x = locate_zero(w, kind, place, x)
             keep_earliest(w, x, kind, place)
     elif par.slide_friction > 0.0:
         x = slip_changed_by(w, SLIDE)
         if x <= 1.0:
-            x = bisect_condition(w, EventKind.STICK, SLIDE, x)
+            x = locate_zero(w, EventKind.STICK, SLIDE, x)
             keep_earliest(w, x, EventKind.STICK, SLIDE)
     if par.preload > 0.0 and not mode.held:
         kind = EventKind.SEATED
@@ -519,11 +553,11 @@ def search_step(w):
     if par.has_supports:
         for which in range(2):
             resting = mode.rest_S if which == 0 else mode.rest_T
-            if resting and ratio_of_limit(w.stepper.y_new, par, step.hold, which) > 1.0:
-                x = bisect_condition(w, EventKind.MOVING, which, 1.0)
+            if resting and not is_held_at_rest(w.stepper.y_new, par, step.hold, which, 1.0):
+                x = locate_zero(w, EventKind.MOVING, which, 1.0)
                 keep_earliest(w, x, EventKind.MOVING, which)
             if not (resting or slow[which]) and is_slow(w.stepper.y_new, par, which, 1.0):
-                x = bisect_condition(w, EventKind.AT_REST, which, 1.0)
+                x = locate_zero(w, EventKind.AT_REST, which, 1.0)
                 keep_earliest(w, x, EventKind.AT_REST, which)
 
 

@@ -14,7 +14,13 @@ import numpy as np
 
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
 from capture_sim.dynamics.engine.events import held_load
-from capture_sim.dynamics.engine.steps import SMALL_MOVE, distance_to_edge, move_along, state_inside
+from capture_sim.dynamics.engine.steps import (
+    SMALL_MOVE,
+    distance_to_edge,
+    entry_inside,
+    move_along,
+    state_inside,
+)
 from capture_sim.dynamics.model.contact import normal_force, raised_depth
 from capture_sim.dynamics.model.equations import (
     axial_force,
@@ -113,6 +119,10 @@ def latch_force_at(y, system):
 def value_at(w, x, quantity, side):
     """Return a quantity at the fraction ``x`` of the present step."""
     y, par = w.scratch.watched, w.system.par
+    if quantity == Watched.STROKE:
+        return side * (entry_inside(w, x, 4) - par.h_0)
+    if quantity == Watched.TORSION:
+        return side * (entry_inside(w, x, 3) - entry_inside(w, x, 2))
     state_inside(w, x, y)
     if quantity == Watched.BUFFER_FORCE:
         return side * buffer_force_at(y, w.system)
@@ -120,10 +130,6 @@ def value_at(w, x, quantity, side):
         return side * buffer_torque_at(y, par)
     if quantity == Watched.LATCH_FORCE:
         return latch_force_at(y, w.system)
-    if quantity == Watched.STROKE:
-        return side * (y[4] - par.h_0)
-    if quantity == Watched.TORSION:
-        return side * (y[3] - y[2])
     px, py, wx, wy = tip_in_cone(y, par)
     if quantity == Watched.NEARNESS:
         return -math.hypot(px + par.L_T, py)
@@ -231,6 +237,18 @@ def may_exceed(largest, width, v_a, d_a, v_b, d_b):
     return max(v_a, v_b) + _CUBIC_RISE * width * (abs(d_a) + abs(d_b)) > largest
 
 
+@inline_kernel
+def is_monotonic(v_a, d_a, v_b, d_b):
+    """Return True if the cubic through two values and slopes certainly has no maximum in between.
+
+    A sufficient test, without root and division (Fritsch and Carlson 1980).
+    """
+    change = 3.0 * (v_b - v_a)
+    return (min(d_a, d_b) >= 0.0 and max(d_a, d_b) < change) or (
+        max(d_a, d_b) <= 0.0 and min(d_a, d_b) > change
+    )
+
+
 @kernel
 def rise_inside(w, quantity, side, largest, v_a, d_a, v_b, d_b):
     """Return fraction and value of a maximum above ``largest`` inside a segment; -1 if none.
@@ -258,6 +276,9 @@ def watch(w, quantity, side, slot, v_a, d_a, v_b, d_b):
     # a force jumps at an impact, and at a stop with a damper
     keep_maximum(totals, row, slot, v_a, step.t0)
     keep_maximum(totals, row, slot, v_b, step.t1)
+    width = step.x_end * step.h
+    if is_monotonic(v_a, d_a * width, v_b, d_b * width):
+        return
     x, value = rise_inside(w, quantity, side, totals.extreme[row, slot], v_a, d_a, v_b, d_b)
     if x >= 0.0:
         keep_maximum(totals, row, slot, value, step.t0 + x * step.h)

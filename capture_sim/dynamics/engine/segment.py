@@ -8,7 +8,7 @@ from capture_sim.dynamics.engine.events import (
     event_value,
     has_distance,
     hold_limits,
-    ratio_of_limit,
+    is_held_at_rest,
     release_of,
     search_again,
     search_step,
@@ -65,7 +65,7 @@ def begin_equations(w):
         for which in range(2):
             resting = mode.rest_S if which == 0 else mode.rest_T
             hold = w.system.out.hold
-            if resting and ratio_of_limit(w.stepper.y, w.system.par, hold, which) > 1.0:
+            if resting and not is_held_at_rest(w.stepper.y, w.system.par, hold, which, 1.0):
                 step.h = 0.0
                 step.t1 = step.t0
                 event.kind = EventKind.MOVING

@@ -14,7 +14,13 @@ from capture_sim.dynamics.model.equations import (
     rate_of_change,
     tip_in_cone,
 )
-from capture_sim.dynamics.solver.runge_kutta import OVERFLOW, dense, make_stepper, next_factor
+from capture_sim.dynamics.solver.runge_kutta import (
+    OVERFLOW,
+    dense,
+    dense_entry,
+    make_stepper,
+    next_factor,
+)
 
 #: Longest step in contact, rad of the contact's oscillation, less than a period: a longer step may
 #: be accurate at its end but not in between, where samples and events are read.
@@ -48,6 +54,13 @@ def state_inside(w, x, y):
     """Write the state (16,) at the fraction ``x`` of the present step into ``y``."""
     make_dense(w)
     dense(w.stepper, x, y, N_STATE)
+
+
+@kernel
+def entry_inside(w, x, i):
+    """Return entry ``i`` of the state at the fraction ``x`` of the present step."""
+    make_dense(w)
+    return dense_entry(w.stepper, x, i)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Cubic interpolation of event functions whose value and slope are known at two points."""
+"""Where functions of time pass zero: cubics through values and slopes, and secants."""
 
 from __future__ import annotations
 
@@ -48,3 +48,30 @@ def may_cross(g_a, d_a, g_b, d_b, margin):
         return dip < slack
     # no dip of the cubic: the function itself may dip within the slack
     return min(g_a, g_b) < 0.1 * slack and g_a > 0.0
+
+
+#: Parameter of :func:`itp_trial`, of the size of 1 / (first bracket); (4) and (5) of its authors.
+_ITP_SHIFT = 0.2
+
+
+@kernel
+def itp_trial(x_a, g_a, x_b, g_b, radius):
+    """Return the next trial in a bracket: g_a > 0 at x_a, g_b <= 0 at x_b > x_a.
+
+    Interpolate, truncate, project (Oliveira and Takahashi 2020, with kappa_2 = 2 and n_0 = 1):
+    the secant's zero, moved towards the middle, and kept so near to it that no more trials are
+    needed than by bisection, and one.  ``radius`` is half the first bracket, halved with each
+    trial.
+    """
+    middle, width = 0.5 * (x_a + x_b), x_b - x_a
+    if not (g_a > 0.0 and math.isfinite(g_a - g_b)):
+        return middle
+    x = (g_b * x_a - g_a * x_b) / (g_b - g_a)
+    away, shift = middle - x, _ITP_SHIFT * width * width
+    if shift >= abs(away):
+        return middle
+    x += math.copysign(shift, away)
+    reach = max(2.0 * radius - 0.5 * width, 0.0)
+    if abs(x - middle) > reach:
+        x = middle - math.copysign(reach, away)
+    return x
