@@ -4,7 +4,9 @@
 
 Only ``Bench.advance`` is timed, in one process per state; both stay alive.  In a round each
 state takes the least processor time of some runs of every scene.  The table has medians over the
-rounds, of the ratios too.
+rounds, of the ratios too, and the largest difference of touches and extremes, per the largest value
+of its kind: between the states, and within the earlier one by a change of rtol that only rounding
+can tell.
 """
 
 from __future__ import annotations
@@ -17,12 +19,14 @@ import sys
 import time
 from argparse import Namespace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from benchmarks.before import ROOT, environment, python
 from benchmarks.pages import ratio, table, write_parts
 
+_RTOL = 1e-8  # of the packaged scenes
 _STIFF = ["contact.law=exact", "contact.restitution=1e-3"]
 #: Scene, what is changed in it, and where the run ends (s; 0: where the scene has it).
 CASES = {
@@ -40,12 +44,32 @@ CASES = {
 JUDGED = ("paper_designed", "tilt_0", "tilt_p10", "tilt_m10")
 
 
+def results(scene: Any, t_end: float) -> dict[str, list[float]]:
+    """Run a scene; return the numbers that a user reads, by name."""
+    from capture_sim import Bench
+
+    bench = Bench(scene)
+    bench.advance(np.array([t_end] if t_end else []))
+    touches, extremes = bench.touches, bench.extremes.before_latch
+    found = {f"touch {name}": touches[name].tolist() for name in touches.dtype.names}
+    if bench.done:  # before the end they do not cover the last step
+        found |= {name: [float(extremes[name])] for name in extremes.dtype.names}
+    return found
+
+
 def serve(times: int) -> None:
-    """Answer each line on standard input with the least times of all cases, ms, as JSON."""
+    """Answer each line on standard input with the least times of all cases, ms, as JSON.
+
+    Two lines before have the results of all cases: as they are, and with rtol changed by 1e-13.
+    """
     from capture_sim import Bench, load_scene  # public names: deep ones differ between states
 
     scenes = [(load_scene(name, changes), t_end) for name, changes, t_end in CASES.values()]
     gc.disable()
+    changed = [f"run.rtol={_RTOL * (1.0 + 1e-13)!r}"]
+    for more in ([], changed):
+        runs = [(load_scene(name, more + own), t) for name, own, t in CASES.values()]
+        print(json.dumps([results(scene, t) for scene, t in runs]), flush=True)
     for _ in sys.stdin:
         found = []
         for scene, t_end in scenes:
@@ -58,6 +82,19 @@ def serve(times: int) -> None:
                 spent.append(time.process_time() - began)
             found.append(1e3 * min(spent))
         print(json.dumps(found), flush=True)
+
+
+def apart(first: dict[str, list[float]], last: dict[str, list[float]]) -> str:
+    """Return the largest difference of two results, each per the largest of its kind."""
+    if any(len(first[name]) != len(last[name]) for name in first):
+        return "other touches"
+    largest = 0.0
+    for name, values in first.items():
+        scale = max(map(abs, values), default=0.0)
+        if scale > 0.0:
+            differences = np.abs(np.subtract(values, last[name]))
+            largest = max(largest, float(differences.max()) / scale)
+    return f"{largest:.0e}"
 
 
 def kernels(asked: Namespace, _: Path) -> list[str]:
@@ -74,6 +111,12 @@ def kernels(asked: Namespace, _: Path) -> list[str]:
         )
         for state in states
     ]
+    found = []  # of each state: results, and those with rtol changed
+    for server in servers:
+        assert server.stdout is not None
+        found.append([json.loads(server.stdout.readline()) for _ in range(2)])
+    columns = (found[-1][0], found[0][1])
+    difference = [[apart(*pair) for pair in zip(found[0][0], c, strict=True)] for c in columns]
     rounds = []
     for _ in range(asked.rounds):
         answers = []
@@ -89,12 +132,13 @@ def kernels(asked: Namespace, _: Path) -> list[str]:
     ratios = np.median(spent[:, -1] / spent[:, 0], axis=0)
     rows = [
         [name, *(f"{ms:.3g}" for ms in np.median(spent, axis=0)[:, k]), ratio(ratios[k])]
+        + [column[k] for column in difference]
         for k, name in enumerate(CASES)
     ]
     judged = statistics.median(ratios[list(CASES).index(name)] for name in JUDGED)
     head = ["run, CPU time, ms", *(["before", "now"] if len(states) > 1 else ["now"])]
     return [
-        table([*head, "now / before"], rows),
+        table([*head, "now / before", "results differ by", "rtol x (1 + 1e-13) before"], rows),
         "",
         f"Median of {', '.join(JUDGED)}: {ratio(judged)}.",
     ]

@@ -7,6 +7,7 @@ in registers, and every row whose weight is not zero is read once.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -144,15 +145,16 @@ def _squares_of_sums(
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         code = VectorCode(context, builder, signature, arguments)
         scale_p = code.data(0)
-        lengths = [code.zero(1), code.zero(1)]
-        both = _sums(code, 1, 2, arguments[5], [3, 4], blocks)
-        for k, (start, width) in enumerate(blocks):
-            scales, steps = code.load(scale_p, start, width), code.broadcast(arguments[6], width)
-            for m, sums in enumerate(both):
-                value = code.multiply(code.multiply(sums[k], steps), scales)
-                for i in range(width):  # in their order: the same sum as a loop's
-                    entry = code.lane(value, i, width)
-                    lengths[m] = code.add(lengths[m], code.multiply(entry, entry))
+        lengths = []
+        for sums in _sums(code, 1, 2, arguments[5], [3, 4], blocks):
+            squares: dict[int, Any] = {}  # by width
+            for (start, width), total in zip(blocks, sums, strict=True):
+                value = code.multiply(total, code.broadcast(arguments[6], width))
+                value = code.multiply(value, code.load(scale_p, start, width))
+                square = code.multiply(value, value)
+                squares[width] = code.add(squares[width], square) if width in squares else square
+            lanes = [code.lane(v, k, width) for width, v in squares.items() for k in range(width)]
+            lengths.append(functools.reduce(code.add, lanes))
         return context.make_tuple(builder, signature.return_type, lengths)
 
     return signature, generate
