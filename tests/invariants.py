@@ -73,6 +73,10 @@ def check_between_segments(w):
         f = np.zeros(N_TOTAL)
         rate_of_change(step.t0, stepper.y, f, w.system)
         assert np.array_equal(stepper.K[stepper.stages], f)
+        if step.loads_kept:
+            loads = np.zeros(4)
+            extremes.write_loads(loads, stepper.y, f[12], f[11] - f[10], w.system)
+            assert np.array_equal(step.loads, loads)
         if par.has_supports and step.x_end == 1.0:
             assert np.array_equal(step.hold, w.system.out.hold)
 
@@ -116,7 +120,7 @@ def check_ended(w):
 OWNED = {
     "value_inside": ("sought",),
     "seat_left_by": ("sought",),
-    "bisect_condition": ("sought",),
+    "locate_zero": ("sought",),
     "slip_changed_by": ("sought",),
     "measure_seat": ("moved",),
     "value_at": ("watched",),

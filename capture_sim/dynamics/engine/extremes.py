@@ -81,9 +81,15 @@ NORMAL_FORCE_PLUS_Y, LATCH_FORCE, PENETRATION, TIP_DISTANCE = (
 @kernel
 def buffer_force_at(y, system):
     """Return the force of axial spring, damper, friction, stop and seat on the probe, N."""
-    par, stop = system.par, system.mode.stop
     if system.mode.held:
         return held_load(y, system)
+    return sliding_force_at(y, system)
+
+
+@inline_kernel
+def sliding_force_at(y, system):
+    """Return :func:`buffer_force_at` of a probe that is not held, N."""
+    par, stop = system.par, system.mode.stop
     stroke, rate = y[4] - par.h_0, y[12]
     force, _ = axial_force(stroke, rate, system.mode.slide_direction, par)
     if stop:
@@ -421,12 +427,28 @@ def buffer_force_rate(y, acceleration, system):
     return total
 
 
+@inline_kernel
+def write_loads(loads, y, axial, turning, system):
+    """Write the torque of the hinge and the axial force, each with its rate, into ``loads`` (4,).
+
+    ``axial`` (m/s^2) and ``turning`` (rad/s^2) are the accelerations of stroke and torsion.  The
+    force is that of a sliding probe.
+    """
+    par = system.par
+    loads[0] = buffer_torque_at(y, par)
+    loads[1] = hinge_torque_rate(y[3] - y[2], y[11] - y[10], turning, par)
+    loads[2] = sliding_force_at(y, system)
+    loads[3] = buffer_force_rate(y, axial, system)
+
+
 @kernel
 def watch_loads(w):
     """Keep forces and torques of buffer and latch over the segment that ends."""
     step, stepper, system = w.step, w.stepper, w.system
-    mode, par, y_a, y_b = system.mode, system.par, stepper.y, w.y_end
-    f_a, f_b = stepper.K[0], stepper.K[stepper.stages]
+    mode, y_b, f_b, loads = system.mode, w.y_end, stepper.K[stepper.stages], step.loads
+    if not step.loads_kept:
+        write_loads(loads, stepper.y, stepper.K[0, 12], stepper.K[0, 11] - stepper.K[0, 10], system)
+    torque_a, turning_a, force_a, force_rate_a = loads[0], loads[1], loads[2], loads[3]
     axial_b, turning_b = f_b[12], f_b[11] - f_b[10]
     near_end, small = w.scratch.near_end, SMALL_MOVE * step.h
     if step.x_end < 1.0:
@@ -434,27 +456,18 @@ def watch_loads(w):
         state_inside(w, step.x_end - SMALL_MOVE, near_end)
         axial_b = (y_b[12] - near_end[12]) / small
         turning_b = (y_b[11] - y_b[10] - near_end[11] + near_end[10]) / small
-    torsion_a, torsion_b = y_a[3] - y_a[2], y_b[3] - y_b[2]
-    twist_a, twist_b = y_a[11] - y_a[10], y_b[11] - y_b[10]
+    write_loads(loads, y_b, axial_b, turning_b, system)
+    step.loads_kept = 1
     watch_magnitude(
-        w,
-        Watched.BUFFER_TORQUE,
-        BUFFER_TORQUE,
-        buffer_torque_at(y_a, par),
-        hinge_torque_rate(torsion_a, twist_a, f_a[11] - f_a[10], par),
-        buffer_torque_at(y_b, par),
-        hinge_torque_rate(torsion_b, twist_b, turning_b, par),
+        w, Watched.BUFFER_TORQUE, BUFFER_TORQUE, torque_a, turning_a, loads[0], loads[1]
     )
+    force_b, force_rate_b = loads[2], loads[3]
     if mode.held:
         force_a, force_rate_a = step.hold_load[0], step.hold_load_rate[0]
         force_b, force_rate_b = step.hold_load[1], step.hold_load_rate[1]
         if step.x_end < 1.0:
             force_b = buffer_force_at(y_b, system)
             force_rate_b = (force_b - buffer_force_at(near_end, system)) / small
-    else:
-        force_a, force_b = buffer_force_at(y_a, system), buffer_force_at(y_b, system)
-        force_rate_a = buffer_force_rate(y_a, f_a[12], system)
-        force_rate_b = buffer_force_rate(y_b, axial_b, system)
     watch_magnitude(
         w, Watched.BUFFER_FORCE, BUFFER_FORCE, force_a, force_rate_a, force_b, force_rate_b
     )

@@ -165,6 +165,7 @@ def plan_step(w):
     par, mode = w.system.par, w.system.mode
     step.segment = Segment.STEP
     if step.equations_changed:
+        step.loads_kept = 0
         if begin_equations(w):
             return Status.SERVED
     else:

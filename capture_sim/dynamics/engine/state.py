@@ -74,6 +74,8 @@ STEP = np.dtype(
         ("substeps", "i8"),  # events located within one fixed step
         ("start", DISTANCES),
         ("start_measured", "i8"),  # ``start`` belongs to t0
+        ("loads", "f8", (4,)),  # of the buffer at the end of the segment before, see extremes
+        ("loads_kept", "i8"),  # ... which are those at t0
         ("hold", "f8", (6,)),  # load on supports at rest at the end of the step, see OUT
         ("hold_load", "f8", (2,)),  # axial force of a held probe at both ends of the step, N
         ("hold_load_rate", "f8", (2,)),  # N/s
