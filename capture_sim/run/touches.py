@@ -99,7 +99,7 @@ class Touches:
 
     @property
     def strength_noise(self) -> np.ndarray:
-        """Standard deviations of the strengths, (n,): of an impulse, those of the sum of samples."""
+        """Standard deviations of the strengths, (n,): an impulse is a sum of samples."""
         if self.strength == "peak":
             return np.full(self.start.size, self.peak_noise)
         samples = self.lasted / self.spacing
