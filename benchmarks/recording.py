@@ -243,9 +243,7 @@ def restitution(asked: Namespace, _: Path) -> list[str]:
             run = noisy_run("tilt_0", seed, true=_TRUE)
             found = measure(run, np.random.default_rng(1000 + seed))
             assert found is not None
-            touches = found.of(slice(4))
-            if touches.peak_noise == 0.0:  # neither its own noise nor that of a force
-                touches = touches.with_noise(START_NOISE, PEAK_NOISE)
+            touches = found.of(slice(4)).with_default_noise(START_NOISE, PEAK_NOISE)
             fit = identify(run.scene, run.run, NAMES, touches=touches, starts=1)
             e = NAMES.index("e")
             values.append(fit.values[e])

@@ -102,9 +102,12 @@ def cell_force(run: NoisyRun, rng: np.random.Generator, bandwidth: float) -> Ser
 
 
 def counted(run: NoisyRun, rng: np.random.Generator, rate: float) -> Touches | None:
-    """Measure the touches by messages that have the number and the peak since the last one."""
+    """Measure the touches by messages that have the number and the peak since the last one.
+
+    The messages have any phase: with the same one, touches of the same run are always as late.
+    """
     bench = _bench_of(run)
-    t = np.arange(0.0, _first_touch(run) + AROUND, 1.0 / rate)
+    t = np.arange(rng.uniform(), (_first_touch(run) + AROUND) * rate) / rate
     bench.advance(t)
     met = located(bench.touches)
     begun, peak = np.zeros(t.size, dtype=int), np.zeros(t.size)

@@ -43,17 +43,18 @@ def _commit(root: Path) -> str:
     # a caller within a git hook has set these for another repository
     environment = {k: v for k, v in os.environ.items() if not k.startswith("GIT_")}
 
-    def git(*arguments: str) -> str:
-        command = ["git", "--no-optional-locks", "-C", str(root), *arguments]
-        options = {"env": environment, "timeout": 10.0, "stderr": subprocess.DEVNULL}
-        return subprocess.check_output(command, text=True, **options).strip()  # type: ignore[call-overload, no-any-return]
-
+    command = ["git", "--no-optional-locks", "-C", str(root), "status", "--porcelain=v2"]
+    command += ["--branch", "--no-ahead-behind", "--", *_DECISIVE]
+    options = {"env": environment, "timeout": 10.0, "stderr": subprocess.DEVNULL}
     try:
-        commit = git("rev-parse", "--short=7", "HEAD")
-        changed = git("status", "--porcelain", "--", *_DECISIVE)
+        lines = subprocess.check_output(command, text=True, **options).splitlines()  # type: ignore[call-overload]
     except (OSError, subprocess.SubprocessError, UnicodeDecodeError):
         return ""
-    return f"{commit}.changed" if changed else commit
+    head = [line for line in lines if line.startswith("#")]
+    found = re.search(r"^# branch\.oid ([0-9a-f]{7})", "\n".join(head), re.MULTILINE)
+    if not found:  # no commit yet
+        return ""
+    return f"{found[1]}.changed" if len(lines) > len(head) else found[1]
 
 
 @cache

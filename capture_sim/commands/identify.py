@@ -22,7 +22,7 @@ from capture_sim.run.origin import Release
 from capture_sim.scene.paths import ALIASES, value_of
 from capture_sim.studies.identify import RELEASE, identify, is_explained
 
-#: Standard deviations of a touch's time, s, and peak force, N, where no sampled force shows them.
+#: Standard deviations of a touch's time, s, and peak force, N, where the recording shows none.
 TOUCH_NOISE = (2e-4, 2.0)
 
 DESCRIPTION = (
@@ -73,8 +73,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=not_negative,
         metavar=("S", "N"),
         help="set the standard deviations of a touch's time, s, and peak force, N (default: for "
-        "touches found in a sampled force, one of its sample intervals and its noise; otherwise "
-        "2e-4 2)",
+        "touches found in a sampled force, 0.29 of its sample interval and its noise; for counted "
+        "touches, 0.29 of the messages' interval and 2; otherwise 2e-4 2)",
     )
     parser.add_argument(
         "--starts",
@@ -106,8 +106,9 @@ def run(options: argparse.Namespace) -> int:
         found, source = recorded.resolved_touches
         if found is not None:
             touches = found.of(slice(options.touches))
-            if options.touch_noise is not None or not touches.is_noise_known:
-                touches = touches.with_noise(*(options.touch_noise or TOUCH_NOISE))
+            if options.touch_noise is not None:
+                touches = touches.with_noise(*options.touch_noise)
+            touches = touches.with_default_noise(*TOUCH_NOISE)
     fit = identify(
         scene,
         recorded,

@@ -75,11 +75,13 @@ class ResultsFolder:
             return
         own = [_plain({**run.run.summary, RECORDING: run.path and run.path.name}) for run in runs]
         labels = [run.label for run in runs]
-        echo(f"\n{table(own, labels)}\n")
+        printed = table(own, labels)
+        echo(f"\n{printed}\n")
         with _alone(self._folder):
             rows, notes = self._merged(own)
             numbers = write_json(self._folder / NUMBERS, rows)
-            text = "\n".join([table(rows, _labels(rows)), *notes])
+            is_printed = rows == own and _labels(rows) == labels
+            text = "\n".join([printed if is_printed else table(rows, _labels(rows)), *notes])
             kept = write_text(self._folder / TABLE, text + "\n")
         of = "table" if len(rows) == len(own) else f"table of all {len(rows)} runs"
         echo(f"{of} in {kept}, numbers in {numbers}")

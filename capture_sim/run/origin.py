@@ -31,7 +31,8 @@ class Origin:
     """Origin of a run: its source, scene, overrides and software."""
 
     path: str = ""  # of the recording; empty for a run of :func:`capture_sim.simulate`
-    software: tuple[str, ...] = ()  # that made it, ``"name version"`` each
+    # that made it, ``"name version"`` each; asks git, which takes as long as a run
+    software: Lazy[tuple[str, ...]] = Lazy(tuple)
     release: Release = Release.STAMP
     after_first_pose: float = 0.0  # s, of the release
     # used by the live detector

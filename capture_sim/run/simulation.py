@@ -113,7 +113,7 @@ def simulate(
     grid = Deferred(partial(_grid_samples, scene, samples if t_eval is None else None))
     result = Run(
         name=scene.name,
-        origin=Origin(software=software_versions()),
+        origin=Origin(software=Deferred(software_versions)),
         given_scene=scene,
         state=samples,
         series=_series_of(scene, samples, grid),

@@ -31,6 +31,11 @@ _BELOW_NOISE = 2.0
 #: Points of that curve per sample, of which the largest is the peak: of a half sine through four
 #: samples it is low by 2e-4 at most.
 _POINTS = 20
+#: A touch began anywhere between two samples: an interval is this many standard deviations.
+_UNIFORM = math.sqrt(12.0)
+#: The trapezoidal rule over a touch by Hertz's law of n samples is wrong by so much times n^-2.5
+#: of the impulse: standard deviation over where the samples fall.
+_SAMPLING = 0.28
 #: An impact speed is measured if poses come this close to the contact, m: over this distance
 #: rolling resistance changes 0.1 m/s by 2 %.
 MAX_UNSEEN_TRAVEL = 0.02
@@ -54,6 +59,7 @@ class Touches:
     threshold: float = 0.0  # N; touches whose peak is below it were not seen
     spacing: float = 0.0  # s between the samples they were found in; 0 where none can be missed
     all_found: bool = True  # False if the force shows further ones, too short for its samples
+    is_delay_known: bool = True  # False if a filter or another clock may delay all of them alike
 
     def of(self, kept: np.ndarray | slice) -> Touches:
         """Return some of the touches."""
@@ -68,18 +74,19 @@ class Touches:
         shifted = self.later(-contact)
         return shifted.of((shifted.start >= -TICK) & (shifted.start <= window))
 
-    @property
-    def is_noise_known(self) -> bool:
-        """Return True if times and strengths have the noise of the force they were found in.
-
-        A force without noise shows none.
-        """
-        return self.strength == "impulse" and self.peak_noise > 0.0
-
     def with_noise(self, start: float, peak: float) -> Touches:
         """Return the touches with a sensor's noise, s and N, added to the sampling's."""
         start_noise = math.hypot(self.start_noise, start)
         return replace(self, start_noise=start_noise, peak_noise=max(self.peak_noise, peak))
+
+    def with_default_noise(self, start: float, peak: float) -> Touches:
+        """Return the touches with this noise, s and N, each where theirs is not known.
+
+        Events have neither, counted touches only that of their times.
+        """
+        return replace(
+            self, start_noise=self.start_noise or start, peak_noise=self.peak_noise or peak
+        )
 
     @property
     def strength(self) -> str:
@@ -92,8 +99,12 @@ class Touches:
 
     @property
     def strength_noise(self) -> np.ndarray:
-        """Standard deviations of the strengths, (n,): as large a share of them as of the peaks."""
-        return np.asarray(self.peak_noise * getattr(self, self.strength) / self.peak)
+        """Standard deviations of the strengths, (n,): an impulse is a sum of samples."""
+        if self.strength == "peak":
+            return np.full(self.start.size, self.peak_noise)
+        samples = self.lasted / self.spacing
+        of_force = self.peak_noise * self.spacing * np.sqrt(samples + 2.0)  # with both flanks
+        return np.hypot(of_force, _SAMPLING * samples**-2.5 * self.impulse)
 
     def may_miss(self, lasted: np.ndarray | float) -> bool:
         """Whether touches that last so long, s, could have too few samples to be found."""
@@ -226,12 +237,12 @@ def in_force(
         rows.append((start, peak, stop - start, peak_time, impulse, wall))
     if not rows:
         return None
-    # It began anywhere between two samples, and a cell's filter or the threshold makes it later.
-    # With a bandwidth of a fifth of the rate, times are still later by more than this.
-    late = max(spacing)
+    # noise alone makes it an interval early where it passes the level that a touch begins at
+    early = math.exp(-0.125 * (quiet.threshold / quiet.sigma) ** 2) if quiet.sigma else 0.0
     return _touches(
         rows,
-        start_noise=late,
+        start_noise=max(spacing) * math.sqrt(_UNIFORM**-2.0 + early),
+        is_delay_known=False,
         peak_noise=quiet.sigma,
         threshold=quiet.threshold,
         spacing=max(spacing),
@@ -260,7 +271,7 @@ def in_messages(
         rows.append((start, peak[i : last + 1].max(), math.nan, start, math.nan, 0.0))
     if not rows:
         return None
-    return _touches(rows, start_noise=max(spacing) / math.sqrt(12.0))
+    return _touches(rows, start_noise=max(spacing) / _UNIFORM)
 
 
 def _touches(rows: Sequence[tuple[float, ...]], **noise: Any) -> Touches:

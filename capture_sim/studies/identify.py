@@ -9,7 +9,9 @@ Poses, stroke and torsion depend on the parameters smoothly, through all chatter
 A sampled contact force does not: a touch lasts half a millisecond, so samples hit or miss
 it.  Instead of it the first touches serve, by the time of their start and their impulse, in a
 second stage when the fit is near enough for the touches to correspond.  Touches that were not found
-in a sampled force, e.g. those of a simulation, serve by their peak force.
+in a sampled force, e.g. those of a simulation, serve by their peak force.  A load cell's filter and
+clock delay all touches by the same unknown time, which is fitted with the rest: it would change
+rolling resistance by several of its standard errors, and the other parameters hardly depend on it.
 
 On a real bench the release is seldom known as well as a touch is measured, and a millisecond of it
 moves other parameters by many of their standard errors, in fits that look good
@@ -265,7 +267,10 @@ class _Problem:
             n = min(touches.start.size, touched.size)
             missing = np.full(touches.start.size - n, _FAILED)
             began = touches.start[:n] - self._released(x)
-            start = (began - touched["start"][:n]) / touches.start_noise
+            late = began - touched["start"][:n]
+            if n and not touches.is_delay_known:
+                late -= late.mean()  # the delay that fits best
+            start = late / touches.start_noise
             expected = touched["impulse" if touches.strength == "impulse" else "peak_force"][:n]
             measured = getattr(touches, touches.strength)[:n]
             strength = (measured - expected) / touches.strength_noise[:n]
@@ -300,7 +305,8 @@ class _Problem:
 
     def result(self, found: Any, touches: Touches | None) -> Fit:
         """Return the fit of a search that has ended."""
-        freedom = max(found.fun.size - found.x.size, 1)
+        n_delays = 0 if touches is None or touches.is_delay_known else 1
+        freedom = max(found.fun.size - found.x.size - n_delays, 1)
         chi2 = float(2.0 * found.cost / freedom)
         variance, covariance = spread(self.jacobian(found.x, touches))
         # Where the dependence has kinks, the slope at the very minimum may be steep: an error

@@ -18,6 +18,8 @@ from capture_sim.viewing.shapes import wall
 _MM = 1e3
 _PLAYED = 5.0  # s (wall), that a short timeline takes at least
 _MOST_LABELS = 6  # of an axis
+_CONTACT = ("contact_force", "distance", "axial_stroke", "torsion")  # diagrams of the first tab
+_LABEL_SHARE = 0.08  # of a diagram's width, between labels of its time: 70 of 830 pixels
 _MARGIN = 0.05  # of a range, beyond a tick that widens it
 _WHITE = rrb.Background(color=(255, 255, 255), kind=rrb.BackgroundKind.SolidColor)
 
@@ -51,22 +53,26 @@ def blueprint(
     if len(rows) == 1:
         rows = [rrb.Vertical(*rows[0].contents, row_shares=[1.0, 1.4])]
     length = math.inf if span is None else span[1] - span[0]
-    time_axis = None if span is None else _time_axis(*ticked(*span))
-    left_out = set() if energies else {"energy"}
-    string = any(scene.string is not None for scene in scenes)
-    # slack long before the contact, which is all that the aligned time shows: behind a tab
-    if aligned or not string:
-        left_out.add("string_tension")
+    time_axis = None if span is None else _time_axis(*labelled(*span))
+    entities = ["speed", "energy"] if energies else ["speed"]
+    # slack long before the contact, which is all that the aligned time shows
+    if any(scene.string is not None for scene in scenes):
+        entities.append("string_tension")
+    lanes = rrb.StateTimelineView(origin="/states", name="phase and verdict")
     texts = [rrb.TextDocumentView(origin=f"/{name}/scene", name=name) for name in names]
     tabs = rrb.Tabs(
-        _time_series(len(names), left_out, ranges, time_axis),
-        *([_diagram("string_tension", ranges)] if string and aligned else []),
+        rrb.Vertical(*_diagrams(_CONTACT, ranges, time_axis), name="contact"),
+        rrb.Vertical(
+            *(*_diagrams(entities, ranges, time_axis), lanes),
+            row_shares=[*[1.0] * len(entities), 0.75 + 0.3 * len(names)],  # two lanes for each run
+            name="speeds and phases",
+        ),
         rrb.TextLogView(origin="/events", name="events"),
         rrb.Grid(*texts, name="parameters"),
         active_tab=0,
     )
     return rrb.Blueprint(
-        rrb.Horizontal(rrb.Vertical(*rows), tabs, column_shares=[1.15, 1.0]),
+        rrb.Horizontal(rrb.Vertical(*rows), tabs, column_shares=[1.0, 1.1]),
         rrb.TimePanel(
             timeline=ALIGNED if aligned else SIM_TIME,
             state="collapsed",
@@ -134,6 +140,18 @@ def ticked(low: float, high: float) -> Window:
     return low, high
 
 
+def labelled(start: float, end: float) -> Window:
+    """Return a time that has at least three labels in it, extended where it must be.
+
+    Rerun labels multiples of a power of ten of seconds, where they are far enough apart.
+    """
+    if not end > start:
+        return start, end
+    step = 10.0 ** math.ceil(math.log10(_LABEL_SHARE * (end - start)))
+    third = (math.ceil(start / step) + 2) * step
+    return start, max(end, third + _MARGIN * (end - start))
+
+
 def _time_axis(start: float, end: float) -> rrb.TimeAxis:
     ends = [rr.TimeRangeBoundary.absolute(seconds=second) for second in (start, end)]
     return rrb.TimeAxis(view_range=rr.TimeRange(*ends))
@@ -155,17 +173,11 @@ def _diagram(
     )
 
 
-def _time_series(
-    runs: int,
-    left_out: set[str],
-    ranges: Mapping[str, Window],
-    time_axis: rrb.TimeAxis | None,
-) -> rrb.Vertical:
-    """Return the diagrams, one above the other in two columns over the same time."""
-    order = ("contact_force", "distance", "axial_stroke", "torsion", "speed", "energy")
-    shown = [name for name in (*order, "string_tension") if name not in left_out]
-    views: list[rrb.View] = [_diagram(name, ranges, time_axis) for name in shown]
-    views.insert(6, rrb.StateTimelineView(origin="/states", name="phase and verdict"))
-    rows = [rrb.Horizontal(*views[i : i + 2]) for i in range(0, len(views), 2)]
-    lanes = 0.75 + 0.3 * runs  # two for each run
-    return rrb.Vertical(*rows, row_shares=[*[1] * (len(rows) - 1), lanes], name="time series")
+def _diagrams(
+    entities: Sequence[str], ranges: Mapping[str, Window], time_axis: rrb.TimeAxis | None
+) -> list[rrb.View]:
+    """Return diagrams that are to stand one above the other, over the same time.
+
+    They are as wide as half of the window, so that there is room for labels of their time.
+    """
+    return [_diagram(entity, ranges, time_axis) for entity in entities]

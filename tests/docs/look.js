@@ -21,6 +21,14 @@ function widestOf(root) {
   return wide.map((e) => `${e.localName}: ${e.textContent.slice(0, 80)}`).slice(-3);
 }
 
+// Tables and blocks of code whose end is seen only after scrolling
+function cutIn(root) {
+  const parts = [...root.querySelectorAll('article pre > code, article .md-typeset__scrollwrap')];
+  const cut = parts.filter((e) => e.scrollWidth > e.clientWidth + 1);
+  return cut.map((e) => `${e.localName === 'code' ? 'code' : 'table'} ${e.scrollWidth} of `
+    + `${e.clientWidth} px: ${e.textContent.trim().slice(0, 80)}`);
+}
+
 // The brackets next to matrices
 function bracketsOf(page) {
   const operators = [...page.getElementsByTagNameNS(MATH, 'mo')];
@@ -65,6 +73,7 @@ function look(frame) {
     prose: proseOf(page.body),
     overflow: root.scrollWidth - root.clientWidth,
     widest: widestOf(root),
+    cut: cutIn(root),
     images: [...page.images].filter((i) => !i.naturalWidth).map((i) => i.getAttribute('src')),
     n_formulas: page.getElementsByTagNameNS(MATH, 'math').length,
     n_brackets: bracketsOf(page).length,

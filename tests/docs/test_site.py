@@ -26,8 +26,8 @@ STEMS = sorted(path.stem for path in (ROOT / "docs").glob("*.md"))
 SOURCES = [ROOT / "README.md", *(ROOT / "docs" / f"{stem}.md" for stem in STEMS)]
 #: Paths of the pages on the site, the first one from README
 ADDRESSES = ["/", *(f"/{stem}/" for stem in STEMS)]
-#: Widths of the browser's window: a phone, and a screen, px
-WIDTHS = (400, 1240)
+#: Widths of the browser's window: a phone, and two screens, px
+WIDTHS = (400, 1240, 1300)
 #: What Markdown or TeX leaves in a text that it did not understand
 LEFT_OVER = re.compile(
     r"\*\*|\*#|^\s*#+ |`|\$\S|\]\(|^\||:::|<!--|\\[a-z]{2,}|formula[bi][0-9a-f]{4}", re.MULTILINE
@@ -256,6 +256,13 @@ def test_no_page_is_wider_than_the_window(seen):
     """Tables and code scroll on their own."""
     wide = {place: page["widest"] for place, page in seen.pages.items() if page["overflow"] > 0}
     assert not wide
+
+
+@needs_chromium
+def test_on_a_screen_tables_and_the_start_page_show_all_their_columns(seen):
+    cut = {path: seen.pages[path, 1300]["cut"] for path in ADDRESSES}
+    assert not cut["/"]
+    assert not [part for parts in cut.values() for part in parts if part.startswith("table")]
 
 
 @needs_chromium

@@ -92,6 +92,31 @@ def test_peak_and_impulse_do_not_depend_on_where_the_samples_fall(share):
     assert found.impulse == pytest.approx([130.0 * 3.5e-4 * 1.74804 / np.pi], rel=8e-3)
 
 
+def test_the_noise_of_touches_is_the_spread_of_their_times_and_impulses():
+    """400 samplings of the same three touches by Hertz's law, at any phase, with noise of 0.5 N."""
+    cone, rng = capture_sim.load_scene("tilt_0").cone, np.random.default_rng(7)
+    starts, peaks, lasts = np.array(
+        [[0.2, 0.22, 0.24], [130.0, 60.0, 130.0], [3.5e-4, 4e-4, 1.5e-3]]
+    )
+    true = 1.74804 / np.pi * peaks * lasts
+    into_wall = np.array([-np.sin(cone.half_angle), -np.cos(cone.half_angle)])
+    times, impulses = [], []
+    for _ in range(400):
+        t = (np.arange(5200) + rng.uniform()) / 2e4
+        phase = np.clip((t[:, None] - starts) / lasts, 0.0, 1.0)
+        normal = (peaks * np.maximum(np.sin(np.pi * phase), 0.0) ** 1.5).sum(axis=1)
+        force = normal[:, None] * into_wall + 0.5 * rng.normal(size=(t.size, 2))
+        found = in_force(t, force, np.zeros_like(t), cone)
+        if found is not None and found.start.size == 3:  # noise is taken for a touch in 1 of 1000
+            times.append((found.start - starts) / found.start_noise)
+            impulses.append((found.impulse - true) / found.strength_noise)
+    assert len(times) > 390
+    # 0.1 % quantiles of 400 draws are at 0.89 and 1.11
+    assert np.std(times, axis=0) == pytest.approx(1.0, abs=0.11)
+    # the flanks count as two samples, and noise of one to two is in the impulse
+    assert np.std(impulses, axis=0) == pytest.approx(0.95, abs=0.11)
+
+
 def test_the_peak_of_many_noisy_samples_is_not_that_of_the_largest():
     """8 N over 0.1 s with noise of 0.5 N: the largest of 2000 samples reads 1.2 N high."""
     t = np.arange(0.0, 0.3, 5e-5)

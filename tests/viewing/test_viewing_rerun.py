@@ -26,11 +26,12 @@ pytest.importorskip("rerun", reason="needs rerun")
 from rrd import chunks, column
 
 from capture_sim.viewing.rerun_bench import cone_mesh
-from capture_sim.viewing.rerun_layout import blueprint, ticked
+from capture_sim.viewing.rerun_layout import blueprint, labelled, ticked
 from capture_sim.viewing.rerun_plots import phases
 from capture_sim.viewing.rerun_view import save_rrd
 from tools.rerun_picture import opened, settled
 
+AXIS_HEIGHT, LABEL_GAP = 16, 12  # pixels
 SHOWN = 0.18  # s after the first touch: one tip is latched, one touches, one is free
 
 
@@ -188,6 +189,16 @@ def test_axes_have_two_labels_at_least(values, expected):
     assert high - low < 1.3 * (values[1] - values[0])
 
 
+@pytest.mark.parametrize("end", [2e-3, 0.3, 0.85, 1.0, 1.3, 1.7, 2.9, 12.0])
+def test_a_time_axis_has_three_labels_at_least(end):
+    """Labels are at multiples of a power of ten of seconds, where they have room for their text."""
+    low, high = labelled(-0.1 * end, end)
+    assert (low, high >= end) == (-0.1 * end, True)
+    steps = [10.0**k for k in range(-6, 3) if 10.0**k >= 0.08 * (high - low)]
+    assert np.floor(high / steps[0]) - np.ceil(low / steps[0]) >= 2
+    assert high - low < 2.1 * 1.1 * end
+
+
 def test_cone_mesh_joins_inner_edge_and_lip(runs):
     cone = runs[0].scene.cone
     vertices, triangles = cone_mesh(cone)
@@ -218,6 +229,12 @@ def software_vulkan():
     return bool(drivers) and ctypes.util.find_library("vulkan") is not None
 
 
+def labels_of_time(diagram):
+    """Return the number of labels below a diagram: bright columns, a dark gap between labels."""
+    [bright] = np.nonzero((diagram[-AXIS_HEIGHT:, :, :3].min(axis=-1) > 0.5).any(axis=0))
+    return 1 + int((np.diff(bright) > LABEL_GAP).sum())
+
+
 @pytest.mark.skipif(not software_vulkan(), reason="needs mesa-vulkan-drivers and libvulkan1")
 def test_it_opens_paused_before_the_first_touch_with_every_run_in_its_colour(rrd, runs):
     with opened(rrd) as viewer:
@@ -229,6 +246,10 @@ def test_it_opens_paused_before_the_first_touch_with_every_run_in_its_colour(rrd
         assert len(views) >= 2 * len(runs)
         assert all(not view.reports for view in views), [view.reports for view in views]
         image = imread(io.BytesIO(settled(viewer)))[..., :3] * 255
+        for name in ("contact_force", "torsion"):
+            [view] = [view for view in views if view.origin == f"/plots/{name}"]
+            # every 0.1 s: two labels at the ends of 1 s do not show when a touch was
+            assert labels_of_time(imread(io.BytesIO(settled(viewer, view.view_id)))) >= 8
     columns = image.shape[1] // 2
     for i, colour in enumerate(style.RUNS[: len(runs)]):
         near = np.abs(image - style.rgb(colour)).max(axis=-1) < 12
