@@ -12,8 +12,10 @@ import math
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
+import llvmlite.binding as llvm
 import numba
 from numba.core.caching import FunctionCache
 from numba.core.compiler import Compiler
@@ -60,6 +62,35 @@ class _EntryCompiler(Compiler):
         _load_without_blas()
         super().__init__(*args)
 
+    def define_pipelines(self) -> Any:
+        """Return Numba's pipelines with a library of which only the machine code is kept."""
+        state = self.state
+        if state.library is None:
+            library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
+            library.enable_object_caching()
+            library.serialize_using_object_code = partial(_machine_code, library)
+            state.library = library
+        return super().define_pipelines()
+
+
+def _machine_code(library: Any) -> tuple[str, str, tuple[bytes, bytes]]:
+    """Return a library as Numba keeps it, with the names of its functions in place of their text.
+
+    Numba would read LLVM's text at every start, to be able to compile the function into others,
+    for nearly half of the time of a start.
+    """
+    names = [
+        f.name
+        for f in library._final_module.functions
+        if not f.is_declaration and f.linkage == llvm.Linkage.external
+    ]
+    stubs = "\n".join(f'define void @"{name}"() {{ ret void }}' for name in names)
+    return (
+        library.name,
+        "object",
+        (library._get_compiled_object(), llvm.parse_assembly(stubs).as_bitcode()),
+    )
+
 
 class _Cache(FunctionCache):
     """Numba's cache on disk, without loading the compiler's support of Python and NumPy.
@@ -69,7 +100,10 @@ class _Cache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled code for a signature; None if there is none."""
-        return self._load_overload(sig, target_context)
+        found = self._load_overload(sig, target_context)
+        if found is not None:
+            found.library._shared_module = None  # nothing to compile into others: Numba refuses
+        return found
 
 
 class _InnerCompiler(_EntryCompiler):
