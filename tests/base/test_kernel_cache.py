@@ -1,0 +1,42 @@
+"""Compiled kernels on disk: what a second process loads."""
+
+import os
+import subprocess
+import sys
+
+MODULE = """
+from capture_sim.base.compiled.kernels import entry_kernel, kernel
+
+
+@kernel
+def half(x):
+    return 0.5 * x
+
+
+@entry_kernel
+def quarter(x):
+    return half(half(x))
+
+
+@entry_kernel
+def eighth(x):
+    return half(quarter(x))
+"""
+
+
+def python(folder, code):
+    environment = os.environ | {"CAPTURE_SIM_CACHE": str(folder), "PYTHONPATH": str(folder)}
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, env=environment, capture_output=True, text=True)
+
+
+def test_a_kernel_that_was_loaded_runs_but_is_not_compiled_into_another(tmp_path):
+    """Its text is not kept: another kernel would get it without what it does."""
+    (tmp_path / "mine.py").write_text(MODULE)
+    for _ in range(2):
+        found = python(tmp_path, "import mine; print(mine.quarter(8.0))")
+        assert found.stdout == "2.0\n", found.stderr
+    refused = python(tmp_path, "import mine; mine.quarter(8.0); print(mine.eighth(8.0))")
+    assert refused.returncode != 0
+    assert "unfit for linking" in refused.stderr
+    assert refused.stdout == ""
