@@ -16,7 +16,6 @@ from capture_sim.nodes.protocol.roll import (
     FREE_TIMEOUT,
     READY,
     Roll,
-    RunReport,
     run_key,
 )
 from tests.nodes.fake_node import FakeNode
@@ -37,10 +36,10 @@ class Part:
     """What a node does with a run: it notes when it begins."""
 
     def __init__(self, node):
-        self.node, self.begun = node, None
+        self.node, self.begun, self.has_open_file = node, None, False
 
     def prepare(self, run):
-        pass
+        self.has_open_file = True
 
     def begin(self, run):
         self.begun = self.node.now
@@ -49,11 +48,20 @@ class Part:
         return True
 
     def end(self, run, end):
-        return RunReport()
+        self.has_open_file = False
+        return end.report
+
+    cancel = end
 
 
-def part_of(state, run=""):
-    return message_class(ROLL.type_name)(participant=OTHER, role="launcher", state=state, run=run)
+def part_of(state, run="", participant=OTHER):
+    return message_class(ROLL.type_name)(
+        participant=participant,
+        role=participant[1:].partition("#")[0],
+        sources=["simulation"],
+        state=state,
+        run=run,
+    )
 
 
 def reports(node):
@@ -237,6 +245,24 @@ def test_a_trial_waits_for_a_node_that_still_closes_its_file(node, ends, waited)
     is_busy = bool(taking_part.busy(RunSource.TRIAL))
     assert is_busy == (ends > waited)
     assert is_busy != bool(taking_part.free(RunSource.TRIAL))
+
+
+def test_a_role_that_is_named_twice_is_waited_for_twice(node):
+    """One of two recorders came after the announcement, and missed the first messages."""
+    alone(node)
+    announcing = Announcer(
+        node, Roll(node, "simulator"), RunSource.SIMULATION, ["recorder", "recorder"]
+    )
+
+    def join(participant):
+        node.publishers.append("/recorder")
+        node.hear(ROLL, part_of(FREE, participant=participant))
+
+    node.at(1.0, lambda: join("/recorder#1"))
+    node.at(5.0, lambda: join("/recorder#2"))
+    announcing.await_nodes("tilt_0", 60.0)
+    assert node.now == pytest.approx(5.0, abs=0.1)
+    assert announcing.cast().participants == ("/recorder#1", "/recorder#2")
 
 
 def test_who_does_not_come_is_named(node, announcing):

@@ -187,7 +187,7 @@ def test_nodes_and_offline_run_launch_alike(start):
 
 def test_two_recorders_of_one_name_record_the_same(start_all, start, tmp_path):
     second = start("recorder", out=tmp_path / "second")
-    nodes = start_all(overrides=SHORT)
+    nodes = start_all(overrides=SHORT, wait_for=WAIT_FOR.replace("recorder", "recorder, recorder"))
     assert statuses(nodes) == dict.fromkeys(nodes, 0)
     assert second.end() == 0
     one, other = (read_bag(f / "tilt_0.mcap") for f in (tmp_path, tmp_path / "second"))
