@@ -5,7 +5,7 @@ import pytest
 from capture_sim import load_scene
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.convert import RunDescription
-from capture_sim.messages.topics import BENCH_STATE, ROLL, RUN_INFO, RunSource
+from capture_sim.messages.topics import BENCH_STATE, ROLL, RUN_INFO, STREAM_COUNTS, RunSource
 from capture_sim.nodes.base.endpoints import DISCOVERY_TIME, message_class
 from capture_sim.nodes.protocol import announcer, follower, roll
 from capture_sim.nodes.protocol.announcer import ALONE_TIME, Announcer
@@ -128,6 +128,36 @@ def test_who_has_left_is_not_waited_for(node, following):
     with pytest.raises(KeyboardInterrupt):
         following.work()
     assert following.part.begun == pytest.approx(3.0, abs=0.1)
+
+
+def test_ctrl_c_before_a_run_has_begun_closes_its_file(node, following):
+    """A recording ended without its first message, the description of the run."""
+    node.at(2.0, node.end_request.set)
+    with pytest.raises(KeyboardInterrupt):
+        following.work()
+    assert following.part.begun is None
+    assert not following.part.has_open_file
+    assert "tilt_0: ended early: interrupted" in node.log.lines
+
+
+@pytest.mark.parametrize("reason, status", [("", 1), ("stopped", 0)])
+def test_messages_that_are_missing_at_ctrl_c_are_named_if_the_run_was_complete(
+    node, following, reason, status
+):
+    """Nobody waits for a recorder that came late: it waited for what it had missed until Ctrl-C."""
+    counts = message_class(STREAM_COUNTS.type_name)(
+        run_id="a run", publisher="simulator", topics=[BENCH_STATE.name], counts=[3]
+    )
+    counts.complete, counts.reason = not reason, reason
+    node.at(2.0, lambda: node.hear(ROLL, part_of(READY, following.key)))
+    node.at(3.0, lambda: node.hear(STREAM_COUNTS, counts))
+    node.at(4.0, node.end_request.set)
+    with pytest.raises(KeyboardInterrupt):
+        following.work()
+    assert node.exit_status == status
+    missing = "tilt_0: ended with messages missing: bench/state: 3 messages missing (seq 0 to 2)"
+    assert (missing in node.log.lines) == bool(status)
+    assert ("tilt_0: ended early: interrupted" in node.log.lines) != bool(status)
 
 
 # who announces
