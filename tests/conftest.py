@@ -66,7 +66,7 @@ def pytest_runtestloop(session):
 def _loaded():
     """Load what draws once: commands fork a process for each file, which would load it again."""
     with suppress(ImportError):  # a system's ROS has no rerun
-        import_module("rerun")
+        import_module("capture_sim.viewing.rerun_view")
 
 
 @pytest.fixture
