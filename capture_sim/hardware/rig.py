@@ -142,7 +142,8 @@ class Rig:
             while self._commands and self._commands[0].t <= t - servo.delay + 1e-12:
                 command = self._commands.popleft()
                 self._target = command[1:4]
-            position, rates = tip[1:4], tip[4:]
+            position: tuple[float, ...] = tip[1:4]
+            rates: tuple[float, ...] = tip[4:]
             if servo.bandwidth:  # scalars: arrays of three take several times as long
                 state = zip(self._target, position, rates, strict=True)
                 a = [gain * (target - x) - damping * v for target, x, v in state]
