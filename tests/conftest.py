@@ -5,6 +5,8 @@ import os
 import shutil
 import signal
 import tempfile
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 
 import hypothesis
@@ -15,6 +17,9 @@ from capture_sim.base.compiled.kernels import cache_folder
 from capture_sim.commands.compiling import compile_first
 from capture_sim.hardware.stage import LoopStage
 from tests.domains import claim_domain
+
+#: Pixels per inch of pictures that nobody looks at.
+COARSE = 30
 
 # A shell starts what is in its background with Ctrl-C ignored, and the nodes would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -55,6 +60,20 @@ def pytest_runtestloop(session):
             fcntl.flock(lock, fcntl.LOCK_EX)
             compile_first()
             LoopStage(load_scene("_loop"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _loaded():
+    """Load what draws once: commands fork a process for each file, which would load it again."""
+    with suppress(ImportError):  # a system's ROS has no rerun
+        import_module("capture_sim.viewing.rerun_view")
+
+
+@pytest.fixture
+def coarse_pictures(monkeypatch):
+    """Draw with few pixels, for tests in which nobody looks at the picture."""
+    monkeypatch.setattr("capture_sim.viewing.style.DPI", COARSE)
+    monkeypatch.setattr("capture_sim.viewing.report._DPI", COARSE)
 
 
 def pytest_unconfigure():

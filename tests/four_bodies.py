@@ -35,11 +35,15 @@ def body_masses(scene: Scene) -> np.ndarray:
 
 
 def spread(scene: Scene, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places x, y, angle of the four bodies (12,) and their rates (12,), of q (8,) and v (8,)."""
-    e, f = np.array([math.cos(q[3]), math.sin(q[3])]), np.array([-math.sin(q[3]), math.cos(q[3])])
+    """Places x, y, angle of the four bodies (12,) and their rates (12,), of q (8,) and v (8,).
+
+    Of several states at once, n, all arrays have a second axis.
+    """
+    cos, sin = (math.cos, math.sin) if q.ndim == 1 else (np.cos, np.sin)
+    e, f = np.array([cos(q[3]), sin(q[3])]), np.array([-sin(q[3]), cos(q[3])])
     a, behind = scene.buffer.hinge_offset, probe_masses(scene)[1]
-    hinge = q[:2] + a * np.array([math.cos(q[2]), math.sin(q[2])])
-    hinge_rate = v[:2] + a * v[2] * np.array([-math.sin(q[2]), math.cos(q[2])])
+    hinge = q[:2] + a * np.array([cos(q[2]), sin(q[2])])
+    hinge_rate = v[:2] + a * v[2] * np.array([-sin(q[2]), cos(q[2])])
     places, rates = [*q[:3]], [*v[:3]]
     for reach, rate in ((-0.5 * scene.cylinder.length, 0.0), (q[4] - behind, v[4])):
         places += [*(hinge + reach * e), q[3]]
@@ -95,6 +99,6 @@ def momentum(scene: Scene, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.array([p_x.sum(), p_y.sum(), (x * p_y - y * p_x + spin).sum()])
 
 
-def kinetic(scene: Scene, q: np.ndarray, v: np.ndarray) -> float:
-    """Kinetic energy, J."""
-    return float(0.5 * body_masses(scene) @ spread(scene, q, v)[1] ** 2)
+def kinetic(scene: Scene, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Kinetic energy, J; of several states (8, n) all, (n,)."""
+    return 0.5 * body_masses(scene) @ spread(scene, q, v)[1] ** 2

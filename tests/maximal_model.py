@@ -717,9 +717,9 @@ class MaximalBench:
     ) -> tuple[float, int] | None:
         """First time in a step when the probe's way of moving ends, and which of the margins."""
         times = t_a + PLACES * (t_b - t_a)
-        first = None
+        states, first = dense(times).T, None
         for which, (margin, rounding) in enumerate(self._margins()):
-            margins = [margin(dense(t)) for t in times]
+            margins = [margin(z) for z in states]
             for k in range(1, times.size):
                 if margins[k] < -rounding:
                     at = self._root(dense, margin, margins[k - 1], times[k - 1], times[k])
@@ -793,7 +793,7 @@ class MaximalBench:
         """First time in a step when the tip stops sliding, or sticking, on a wall."""
         times = t_a + PLACES * (t_b - t_a)
         if self.sliding[wall] == 0.0:
-            margins = [self._friction_margin(dense(t), wall) for t in times]
+            margins = [self._friction_margin(z, wall) for z in dense(times).T]
         else:
             _, _, _, slips = along_a_step(dense(times), self.c, wall, 0.0)
             margins = list(slips * self.sliding[wall])

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+from capture_sim.messages.topics import topic_named
+
+
+def holds_state(topic):
+    """Return True if DDS may replace a message of a topic by the next one on its way."""
+    known = topic_named(topic)
+    return known is not None and known.holds_state
+
+
+def counts_of(run):
+    """Return how many messages the topics of a live recording have, states apart."""
+    return {name: None if holds_state(name) else count for name, count in run.topics.items()}
+
 
 def values_of(run, topic):
-    """Return all that a topic's messages say, for comparison to the last bit."""
+    """Return all that a topic's messages say, to compare to the last bit; of states the last."""
+    first = -1 if holds_state(topic) else 0
+    columns = {name: column[first:] for name, column in run.columns(topic).items()}
     return {
         name: [getattr(value, "tolist", lambda value=value: value)() for value in column]
         if column.dtype == object
         else (column.dtype.str, column.shape, column.tobytes())
-        for name, column in run.columns(topic).items()
+        for name, column in columns.items()
     }

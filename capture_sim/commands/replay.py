@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
     if options.remaps:
         parameters["remaps"] = options.remaps
     if options.followers:
-        parameters["wait_for"] = options.followers
+        parameters["wait_for"] = list(dict.fromkeys(options.followers))  # one of each is started
     folder = options.out or folder_beside(options.recording) / "replayed"
     if "recorder" in options.followers:
         prepare_folder(folder)

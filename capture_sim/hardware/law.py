@@ -189,7 +189,11 @@ class Walls:
     def wrench(self, law: WallLaw, tip: TipState) -> Wrench:
         """Return the force of walls of this law on the tip."""
         fx = fy = torque = 0.0
-        for wall in self.penetrations(tip):
+        for side in (1.0, -1.0):
+            distance = _nearest_on_wall(-tip.x, side * tip.y, *self._wall)[0]
+            if self._radius - distance + law.offset <= 0.0:  # outside, as nearly always
+                continue
+            wall = self._penetration(tip, side)
             depth = wall.depth + law.offset
             force, _ = _normal_force(depth, wall.rate, law.stiffness, law.exponent, law.damping)
             if force > 0.0:

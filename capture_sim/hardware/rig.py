@@ -94,7 +94,7 @@ class Rig:
         self._rng = np.random.default_rng(self.seed)
         self._commands: deque[TipState] = deque()  # not yet at the servo
         self._tip: TipState | None = None
-        self._target = np.zeros(3)
+        self._target: tuple[float, ...] = (0.0, 0.0, 0.0)
         self._filtered = NO_WRENCH
         self._contacts: deque[tuple[float, Wrench]] = deque()  # newest last
         self._on_the_way: list[tuple[float, Answer]] = []
@@ -107,7 +107,7 @@ class Rig:
         loops the tip was driven back to it: their time begins again.
         """
         if self._tip is None or pose.t < self._tip.t:
-            self._tip, self._target = pose, np.array(pose[1:4])
+            self._tip, self._target = pose, pose[1:4]
             self._filtered = NO_WRENCH
             for pending in (self._commands, self._contacts, self._on_the_way):
                 pending.clear()
@@ -135,22 +135,25 @@ class Rig:
             steps = 1
         h, start = (until - tip.t) / steps, tip.t
         w = 2.0 * math.pi * servo.bandwidth
+        gain, damping = w * w, 2.0 * servo.damping_ratio * w
         for k in range(1, steps + 1):
             t = start + k * h
             command = None
             while self._commands and self._commands[0].t <= t - servo.delay + 1e-12:
                 command = self._commands.popleft()
-                self._target = np.array(command[1:4])
-            x, v = np.array(tip[1:4]), np.array(tip[4:])
-            if servo.bandwidth:
-                a = w * w * (self._target - x) - 2.0 * servo.damping_ratio * w * v
+                self._target = command[1:4]
+            position: tuple[float, ...] = tip[1:4]
+            rates: tuple[float, ...] = tip[4:]
+            if servo.bandwidth:  # scalars: arrays of three take several times as long
+                state = zip(self._target, position, rates, strict=True)
+                a = [gain * (target - x) - damping * v for target, x, v in state]
                 size = math.hypot(a[0], a[1])
-                a *= min(1.0, servo.acceleration / size) if size else 1.0
-                v = v + h * a
-                x = x + h * v
+                share = min(1.0, servo.acceleration / size) if size else 1.0
+                rates = tuple(v + h * (share * each) for v, each in zip(rates, a, strict=True))
+                position = tuple(x + h * v for x, v in zip(position, rates, strict=True))
             elif command is not None:
-                x, v = self._target, np.array(command[4:])
-            tip = TipState(t, *x.tolist(), *v.tolist())
+                position, rates = self._target, command[4:]
+            tip = TipState(t, *position, *rates)
             if self.cell.cutoff or k == steps:
                 self._feel(tip, h)
         self._tip = tip
@@ -159,9 +162,10 @@ class Rig:
         """Note the walls' force on the tip behind the cell's filter."""
         contact = self._walls.wrench(self.law, tip)
         self.peak_force = max(self.peak_force, contact.force)
-        share = -math.expm1(-h * 2.0 * math.pi * self.cell.cutoff) if self.cell.cutoff else 1.0
-        pairs = zip(self._filtered, contact, strict=True)
-        self._filtered = Wrench(*(old + share * (new - old) for old, new in pairs))
+        if contact != self._filtered:
+            share = -math.expm1(-h * 2.0 * math.pi * self.cell.cutoff) if self.cell.cutoff else 1.0
+            pairs = zip(self._filtered, contact, strict=True)
+            self._filtered = Wrench(*(old + share * (new - old) for old, new in pairs))
         self._contacts.append((tip.t, self._filtered))
         while len(self._contacts) > 1 and self._contacts[1][0] <= tip.t - self.hidden_lag + 1e-9:
             self._contacts.popleft()

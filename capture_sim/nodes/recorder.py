@@ -138,6 +138,10 @@ class RecorderNode(BenchNode, RunPart):
             problems.append(self._failure)
         return RunReport(tuple(problems), str(path or ""))
 
+    def cancel(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
+        """Close the file, if it was opened."""
+        return super().cancel(run, end) if self._recorder is None else self.end(run, end)
+
     def _close(self) -> RecordingReport:
         """Close the file; RecordingError if the disk has failed, now or before."""
         if self._recorder is None:

@@ -92,7 +92,9 @@ def test_a_simulation_of_today_is_close_to_that_of_then(name, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_every_command_takes_the_files_of_a_version(version, tmp_path, monkeypatch, capsys):
+def test_every_command_takes_the_files_of_a_version(
+    version, tmp_path, monkeypatch, capsys, coarse_pictures
+):
     monkeypatch.chdir(tmp_path)
     for path in (ARCHIVE / version).glob("*.*"):
         shutil.copy(path, tmp_path)

@@ -28,6 +28,7 @@ def recorded(tmp_path_factory):
     ]
 
 
+@pytest.mark.usefixtures("coarse_pictures")
 def test_pictures_of_one_run_leave_an_earlier_overview(recorded, tmp_path):
     pytest.importorskip("rerun", reason="needs rerun")
     path = str(recorded[0])
@@ -37,6 +38,7 @@ def test_pictures_of_one_run_leave_an_earlier_overview(recorded, tmp_path):
     assert (tmp_path / "overview.png").read_text() == "of earlier runs"
 
 
+@pytest.mark.usefixtures("coarse_pictures")
 def test_plots_and_reports_go_next_to_the_recording(recorded, tmp_path, monkeypatch):
     """Not into the current folder; and what `run` has drawn stays as it is."""
     pytest.importorskip("rerun", reason="needs rerun")
@@ -69,6 +71,7 @@ def test_of_a_run_that_was_recorded_again_the_newest_is_shown(recorded, tmp_path
     assert "a_2.mcap: left out" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("coarse_pictures")
 def test_pictures_and_titles_bear_the_recordings_names(recorded, tmp_path, capfd):
     """Two folders with files of the same name, which has blanks."""
     pytest.importorskip("rerun", reason="needs rerun")
@@ -127,6 +130,7 @@ def bag_of(file, folder):
     return folder
 
 
+@pytest.mark.usefixtures("coarse_pictures")
 def test_bags_folder_is_a_recording_to_every_command(recorded, tmp_path, capsys):
     bag = str(bag_of(recorded[1], tmp_path / "bag"))
     assert load(bag, ["friction.mu=0.3"]) == capture_sim.load_scene("tilt_p10", ["friction.mu=0.3"])
@@ -136,6 +140,7 @@ def test_bags_folder_is_a_recording_to_every_command(recorded, tmp_path, capsys)
     assert "tilt_p10" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("coarse_pictures")
 def test_folder_of_two_trials_is_drawn_and_taken_for_one_by_nothing(recorded, tmp_path, capsys):
     pytest.importorskip("rerun", reason="needs rerun")
     trials = tmp_path / "trials"

@@ -80,7 +80,7 @@ def blocks(page):
 
 
 @pytest.fixture
-def run(monkeypatch, capfd):
+def run(monkeypatch, capfd, coarse_pictures):
     """A function that runs something in a folder, in this process, and returns what it prints.
 
     ``capture-sim`` with its arguments, other lines of a shell, or a script of Python with its own.

@@ -5,7 +5,7 @@ import pytest
 from capture_sim import load_scene
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.convert import RunDescription
-from capture_sim.messages.topics import BENCH_STATE, ROLL, RUN_INFO, RunSource
+from capture_sim.messages.topics import BENCH_STATE, ROLL, RUN_INFO, STREAM_COUNTS, RunSource
 from capture_sim.nodes.base.endpoints import DISCOVERY_TIME, message_class
 from capture_sim.nodes.protocol import announcer, follower, roll
 from capture_sim.nodes.protocol.announcer import ALONE_TIME, Announcer
@@ -16,7 +16,6 @@ from capture_sim.nodes.protocol.roll import (
     FREE_TIMEOUT,
     READY,
     Roll,
-    RunReport,
     run_key,
 )
 from tests.nodes.fake_node import FakeNode
@@ -37,10 +36,10 @@ class Part:
     """What a node does with a run: it notes when it begins."""
 
     def __init__(self, node):
-        self.node, self.begun = node, None
+        self.node, self.begun, self.has_open_file = node, None, False
 
     def prepare(self, run):
-        pass
+        self.has_open_file = True
 
     def begin(self, run):
         self.begun = self.node.now
@@ -49,11 +48,20 @@ class Part:
         return True
 
     def end(self, run, end):
-        return RunReport()
+        self.has_open_file = False
+        return end.report
+
+    cancel = end
 
 
-def part_of(state, run=""):
-    return message_class(ROLL.type_name)(participant=OTHER, role="launcher", state=state, run=run)
+def part_of(state, run="", participant=OTHER):
+    return message_class(ROLL.type_name)(
+        participant=participant,
+        role=participant[1:].partition("#")[0],
+        sources=["simulation"],
+        state=state,
+        run=run,
+    )
 
 
 def reports(node):
@@ -120,6 +128,36 @@ def test_who_has_left_is_not_waited_for(node, following):
     with pytest.raises(KeyboardInterrupt):
         following.work()
     assert following.part.begun == pytest.approx(3.0, abs=0.1)
+
+
+def test_ctrl_c_before_a_run_has_begun_closes_its_file(node, following):
+    """A recording ended without its first message, the description of the run."""
+    node.at(2.0, node.end_request.set)
+    with pytest.raises(KeyboardInterrupt):
+        following.work()
+    assert following.part.begun is None
+    assert not following.part.has_open_file
+    assert "tilt_0: ended early: interrupted" in node.log.lines
+
+
+@pytest.mark.parametrize("reason, status", [("", 1), ("stopped", 0)])
+def test_messages_that_are_missing_at_ctrl_c_are_named_if_the_run_was_complete(
+    node, following, reason, status
+):
+    """Nobody waits for a recorder that came late: it waited for what it had missed until Ctrl-C."""
+    counts = message_class(STREAM_COUNTS.type_name)(
+        run_id="a run", publisher="simulator", topics=[BENCH_STATE.name], counts=[3]
+    )
+    counts.complete, counts.reason = not reason, reason
+    node.at(2.0, lambda: node.hear(ROLL, part_of(READY, following.key)))
+    node.at(3.0, lambda: node.hear(STREAM_COUNTS, counts))
+    node.at(4.0, node.end_request.set)
+    with pytest.raises(KeyboardInterrupt):
+        following.work()
+    assert node.exit_status == status
+    missing = "tilt_0: ended with messages missing: bench/state: 3 messages missing (seq 0 to 2)"
+    assert (missing in node.log.lines) == bool(status)
+    assert ("tilt_0: ended early: interrupted" in node.log.lines) != bool(status)
 
 
 # who announces
@@ -237,6 +275,24 @@ def test_a_trial_waits_for_a_node_that_still_closes_its_file(node, ends, waited)
     is_busy = bool(taking_part.busy(RunSource.TRIAL))
     assert is_busy == (ends > waited)
     assert is_busy != bool(taking_part.free(RunSource.TRIAL))
+
+
+def test_a_role_that_is_named_twice_is_waited_for_twice(node):
+    """One of two recorders came after the announcement, and missed the first messages."""
+    alone(node)
+    announcing = Announcer(
+        node, Roll(node, "simulator"), RunSource.SIMULATION, ["recorder", "recorder"]
+    )
+
+    def join(participant):
+        node.publishers.append("/recorder")
+        node.hear(ROLL, part_of(FREE, participant=participant))
+
+    node.at(1.0, lambda: join("/recorder#1"))
+    node.at(5.0, lambda: join("/recorder#2"))
+    announcing.await_nodes("tilt_0", 60.0)
+    assert node.now == pytest.approx(5.0, abs=0.1)
+    assert announcing.cast().participants == ("/recorder#1", "/recorder#2")
 
 
 def test_who_does_not_come_is_named(node, announcing):

@@ -5,9 +5,9 @@ import pytest
 from capture_sim.messages.topics import ROLL
 from capture_sim.nodes.base.endpoints import message_class
 from capture_sim.nodes.protocol import roll as roll_module
-from capture_sim.nodes.protocol.roll import FREE, READY, Roll
+from capture_sim.nodes.protocol.roll import FREE, NAMESAKE_LIMIT, READY, Roll
 
-RECORDER = "/recorder#1"
+RECORDER, SECOND = "/recorder#1", "/recorder#2"
 
 
 class Graph:
@@ -80,19 +80,6 @@ def test_participant_is_waited_for_from_before_it_is_discovered_until_it_leaves(
     assert not_ready() == []
 
 
-def test_of_namesakes_the_newest_are_there(graph):
-    """A recorder that was killed, and the one started after it."""
-    roll = Roll(graph, "simulator")
-    report(graph, FREE)
-    part = message_class(ROLL.type_name)(participant="/recorder#2", role="recorder")
-    graph.hear(part)
-    graph.publishers = ["/simulator", "/recorder"]
-    assert not roll.is_there(RECORDER)
-    assert roll.is_there("/recorder#2")
-    graph.publishers.append("/recorder")
-    assert roll.is_there(RECORDER)
-
-
 @pytest.fixture
 def clock(monkeypatch):
     class Clock:
@@ -106,6 +93,40 @@ def clock(monkeypatch):
 
     monkeypatch.setattr(roll_module, "time", Clock())
     return roll_module.time
+
+
+def hear_second(graph):
+    graph.hear(message_class(ROLL.type_name)(participant=SECOND, role="recorder"))
+
+
+def test_of_namesakes_the_newest_are_there(graph, clock):
+    """A recorder that was killed, and the one started after it."""
+    roll = Roll(graph, "simulator")
+    report(graph, FREE)
+    clock.now += 2.0 * NAMESAKE_LIMIT
+    hear_second(graph)
+    graph.publishers = ["/simulator", "/recorder"]
+    assert not roll.is_there(RECORDER)
+    assert roll.is_there(SECOND)
+    graph.publishers.append("/recorder")
+    assert roll.is_there(RECORDER)
+
+
+def test_a_namesake_that_is_heard_before_it_is_discovered_takes_nobodys_place(graph, clock):
+    """Two recorders on a busy machine: the run went on without the first, and was refused."""
+    roll = Roll(graph, "simulator")
+    graph.publishers = ["/simulator", "/recorder"]
+    report(graph, FREE)
+    assert roll.is_there(RECORDER)
+    clock.now += 1.0
+    hear_second(graph)
+    assert roll.is_there(RECORDER)
+    assert roll.is_there(SECOND)
+    pending = roll.pending([RECORDER, SECOND], lambda part: part.is_ready("a run"))
+    assert pending == ["/recorder", "/recorder"]
+    graph.publishers = ["/simulator"]
+    assert not roll.is_there(RECORDER)  # no node of this name is left
+    assert not roll.is_there(SECOND)
 
 
 def pass_time(roll, clock, seconds, graph=None):

@@ -271,6 +271,7 @@ def test_pairs_of_parts(recording, tmp_path):
             assert str(tmp_path / "less.mcap") in line, (pair, line)
 
 
+@pytest.mark.usefixtures("coarse_pictures")
 @pytest.mark.parametrize("recording", ["rig"], indirect=True)
 @pytest.mark.parametrize("command", ["detect", "export", "compare", "report", "view", "identify"])
 def test_whole_commands_end_in_one_line(recording, command, tmp_path, capsys, monkeypatch):

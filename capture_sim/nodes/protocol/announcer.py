@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -82,8 +83,9 @@ class Announcement:
 class Announcer:
     """Announces the runs of a simulator or player, one after another, and waits for nodes.
 
-    ``wait_for``: roles, names or full names of nodes that must be there before a run; a node that
-    is not on the roll is there when its subscriptions are matched.  ``check`` is called while
+    ``wait_for``: roles, names or full names of nodes that must be there before a run, as many nodes
+    as a name is repeated; a node that is not on the roll is there when its subscriptions are
+    matched.  ``check`` is called while
     waiting and raises to stop waiting.
     """
 
@@ -98,7 +100,7 @@ class Announcer:
         self._node = node
         self._roll = roll
         self._source = source
-        self._wait_for = tuple(wait_for)
+        self._wait_for = Counter(wait_for)
         self._check = check
         self._announcement: Announcement | None = None
         self._is_on = False
@@ -131,9 +133,9 @@ class Announcer:
             self.await_none(run.name, on.not_joined, self._node.topic_publishers.reader_timeout)
         except CaptureSimError as error:
             self._node.get_logger().warning(f"{run.name}: {error}")
-        for name in self._wait_for:
+        for name, count in self._wait_for.items():
             known = [part for part in on.parts() if part.is_called(name)]
-            if known and not any(part.is_ready(on.key) for part in known):
+            if known and sum(part.is_ready(on.key) for part in known) < count:
                 raise CaptureSimError(f"{name} has not joined the run")
 
     def await_read(self) -> None:
@@ -208,7 +210,11 @@ class Announcer:
     def _missing(self) -> str:
         """Return the nodes that a run still waits for before its start."""
         free = self._roll.free(self._source)
-        others = [name for name in self._wait_for if not any(part.is_called(name) for part in free)]
+        others = [
+            name
+            for name, count in self._wait_for.items()
+            if sum(part.is_called(name) for part in free) < count
+        ]
         return _listed("to start", [name for name in others if not self._is_reading(name)])
 
     def _is_reading(self, name: str) -> bool:

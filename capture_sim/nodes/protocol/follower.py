@@ -82,6 +82,11 @@ class RunPart(Protocol):
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """End the run: publish the rest, close files, report missing messages."""
 
+    def cancel(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
+        """Leave a run that has not begun: close files."""
+        del run
+        return RunReport((end.reason,))
+
 
 class _Participation:
     """A run that this node takes part in, and how far it is."""
@@ -98,6 +103,11 @@ class _Participation:
     def note_sign(self) -> None:
         """Note that something of the run has come, or that its announcer is there."""
         self.last_sign = time.monotonic()
+
+    def missing(self) -> RunEnd:
+        """Return the end of a run of which messages have not come."""
+        missing = "; ".join(self.streams.problems())
+        return RunEnd(EndKind.MISSING, f"ended with messages missing: {missing}")
 
 
 class Follower:
@@ -234,8 +244,9 @@ class Follower:
             is_own = run.info.announcer == self.roll.id  # no other node ends it
             end = self._await_end(present, 0.0 if is_own else RUN_END_TIMEOUT)
             if end.kind is EndKind.ABANDONED:
-                end = RunEnd(EndKind.REQUESTED, INTERRUPTED)
-        report = self._part.end(run, end) if present.has_begun else RunReport((end.reason,))
+                is_late = present.counts is not None and present.counts.complete
+                end = present.missing() if is_late else RunEnd(EndKind.REQUESTED, INTERRUPTED)
+        report = (self._part.end if present.has_begun else self._part.cancel)(run, end)
         if end.kind is EndKind.REQUESTED:
             self._node.get_logger().info(f"{run.name}: ended early: {end.reason}")
         else:
@@ -289,8 +300,7 @@ class Follower:
                 if not present.has_ended:
                     text = "the simulator has gone without ending the run"
                     return RunEnd(EndKind.ABANDONED, text)
-                missing = "; ".join(present.streams.problems())
-                return RunEnd(EndKind.MISSING, f"ended with messages missing: {missing}")
+                return present.missing()
             if now > deadline:
                 return RunEnd(EndKind.ABANDONED, "no end of the run")
         if present.counts is None or present.counts.complete:

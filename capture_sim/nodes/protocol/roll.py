@@ -15,6 +15,7 @@ No node waits for a participant that has left.
 
 from __future__ import annotations
 
+import math
 import time
 import uuid
 from collections import Counter
@@ -35,6 +36,8 @@ HEARING_TIMEOUT = 2.0
 FREE_TIMEOUT = 8.0
 #: A node repeats its part so often, s (wall); one that is not heard for so long is named.
 SIGN_PERIOD, SILENCE_LIMIT = 1.0, 5.0
+#: Of namesakes, more than are discovered, those that were heard within this time, s (wall), count.
+NAMESAKE_LIMIT = 3.0 * SIGN_PERIOD
 FREE, READY, DONE = 0, 1, 2
 
 
@@ -141,6 +144,7 @@ class Roll:
         self._looked = -1.0
         self._own: Any = None  # message of this node's part
         self._heard: dict[str, float] = {}  # s (wall), when a node was last heard, by full name
+        self._signs: dict[str, float] = {}  # s (wall), when a participant was, by id
         self._silent: set[str] = set()  # nodes that have been named
         self._checked = time.monotonic()
         if is_listed:
@@ -259,14 +263,21 @@ class Roll:
             self._node.get_logger().warning(one_line(text))
 
     def is_there(self, participant: str) -> bool:
-        """Return True if a participant's publisher is there; of namesakes the newest are."""
+        """Return True if a participant's publisher is there.
+
+        Of namesakes the newest are, and those that were just heard: on a busy machine the newest is
+        heard before it is discovered, and takes no other's place.
+        """
         name = node_of(participant)
         count = self._nodes()[name] - (
             self._is_listed and name == self._node.get_fully_qualified_name()
         )
         namesakes = [part.id for part in self.parts.values() if part.node == name]
-        present = namesakes[max(0, len(namesakes) - count) :]
-        is_there = participant in present or (count > 0 and participant not in namesakes)
+        newest = namesakes[max(0, len(namesakes) - count) :]
+        last_sign = self._signs.get(participant, math.inf)  # not heard yet: one of the publishers
+        is_there = participant in newest or (
+            count > 0 and time.monotonic() < last_sign + NAMESAKE_LIMIT
+        )
         if is_there:
             self._seen.add(participant)
         return is_there or participant == self.id
@@ -298,7 +309,7 @@ class Roll:
             RunReport(() if message.complete else (message.reason,), message.file),
         )
         self.parts[part.id] = part
-        self._heard[part.node] = time.monotonic()
+        self._heard[part.node] = self._signs[part.id] = time.monotonic()
         if part.node in self._silent:
             self._silent.remove(part.node)
             self._node.get_logger().info(f"{part.node}: heard again")
