@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,6 +34,10 @@ class SimulationError(CaptureSimError):
         super().__init__(message)
         self.partial = partial
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Reach another process whole: a worker's error must not break its pool."""
+        return type(self), (*self.args, self.partial)
+
 
 class RecordingError(CaptureSimError):
     """A recording cannot be written or read."""
@@ -50,7 +54,7 @@ class MissingPackageError(CaptureSimError):
 #: Packages that each extra of pyproject.toml installs, by the name they are imported under.
 _EXTRAS = {
     "view": ("rerun",),
-    "study": ("SALib", "pandas", "pyarrow"),
+    "study": ("SALib", "pandas", "pyarrow", "pymoo"),
     "cluster": ("dask", "distributed"),
 }
 _ROS_PACKAGES = ("ament_index_python", "rcl_interfaces", "rclpy", "rosidl_runtime_py")

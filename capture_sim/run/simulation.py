@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,6 +38,9 @@ class RunError(SimulationError):
     def __init__(self, message: str, partial: np.ndarray, result: Run) -> None:
         super().__init__(message, partial)
         self.result = result
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (*self.args, self.partial, self.result)
 
 
 def simulate(

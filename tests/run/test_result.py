@@ -2,8 +2,10 @@
 
 import importlib
 import json
+import multiprocessing
 import pydoc
 import sys
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -185,6 +187,15 @@ def test_a_finished_run_is_kept_where_the_finer_one_fails():
     assert run.t[known][-1] == failed.value.result.t[-1]
     assert run.check.error[100] < 1e-8
     assert np.all(run.check.error[~known] == np.inf)
+
+
+def test_a_run_that_fails_in_a_worker_says_so_where_it_was_asked_for():
+    """An error that cannot be sent breaks the pool, and nobody learns why."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        failed = pool.submit(simulate, "paper_designed", {"run.max_steps": 100}).exception()
+    assert isinstance(failed, SimulationError)
+    assert "run.max_steps" in str(failed)
+    assert len(failed.partial) == len(failed.result.t) > 0
 
 
 @pytest.mark.parametrize("name", ["tilt_0", "tilt_p10", "tilt_m10"])
