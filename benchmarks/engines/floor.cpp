@@ -175,7 +175,7 @@ extern "C" long solve(const Parameters* par, double* y, const double* weights, d
     double t = 0.0, h = 1e-6;
     long found = 0, count = 1;
     rates(p, walls, y, K[0]);
-    while (t < t_end) {
+    while (t_end - t > 1e-15) {
         if (h < 1e-15) return -1;
         h = std::min(h, t_end - t);
         for (int s = 1; s < 12; ++s) {
