@@ -137,8 +137,9 @@ def prepare(scene: Scene) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
         rows = np.zeros(count, TOUCHED)
         rows["start"], rows["end"], rows["wall"] = touches[:count].T
         rows["peak_force"] = np.nan
-        kept = constants, weights  # the C++ loop has only their addresses
-        assert len(kept) == 2
         return Outcome(q=y[:8].copy(), evaluations=evaluations.value, touches=rows)
 
-    return lambda: solve(*arguments), read
+    def run(_kept: object = (constants, y, weights, touches)) -> Any:
+        return solve(*arguments)  # which has only their addresses
+
+    return run, read
