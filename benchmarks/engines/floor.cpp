@@ -112,8 +112,7 @@ void rates(const Parameters& p, const Wall* walls, const double* y, double* f) {
             const double force = std::max(shape * (p.K - walls[i].chi * to.rate), 0.0);
             const double distance = to.gap + p.R_t;
             const double slip = tip.wy * to.nx - tip.wx * to.ny - distance * (spin - y[15]);
-            // tanh to the precision of a number near 1, which is that of the friction
-            const double share = 1.0 - 2.0 / (std::exp(2.0 * slip * p.inverse_v_eps) + 1.0);
+            const double share = std::tanh(slip * p.inverse_v_eps);
             const double friction = -force * p.mu * share;
             const double wx = force * to.nx - friction * to.ny, wy = force * to.ny + friction * to.nx;
             fx += wx;
