@@ -24,6 +24,7 @@ import numpy as np
 
 from benchmarks.before import ROOT, environment, python
 from benchmarks.pages import DOCS, table, write_parts
+from capture_sim import load_scene
 
 _SOLVER, _STEPS = "dynamics/solver/runge_kutta.py", "dynamics/engine/steps.py"
 _SEGMENT, _EQUATIONS = "dynamics/engine/segment.py", "dynamics/model/equations.py"
@@ -217,7 +218,7 @@ def serve(times: int) -> None:
     A first line says what the runs are.  Each run has three times: without samples, with those of
     the scene's rate, and of the set-up with the first call.
     """
-    from capture_sim import Bench, load_scene  # of the copy
+    from capture_sim import Bench  # of the copy, as is load_scene
 
     runs, said = [], []
     for name, changes, t_end in CASES.values():
@@ -304,6 +305,8 @@ def measure(rounds: int, times: int, folder: Path) -> dict[str, Account]:
                 steps = [sum(said[of][k][:2]) for of in (name, copy.base)]
                 more = best[name][k, 0] * steps[1] / steps[0] - best[copy.base][k, 0]
                 parts[name] = unit * float(more if copy.twice else -more)
+        if load_scene(CASES[case][0]).supports is None:
+            parts["supports"] = 0.0
         parts["equations"] -= parts["supports"]
         whole, sampled, call = (unit * float(value) for value in best[""][k])
         apart = {"samples": sampled - whole, "set-up and call": call}

@@ -44,12 +44,14 @@ COMPILE = (
 )
 
 
-def spent(checkout: Path, arguments: tuple[str, ...], **more: str) -> tuple[float, float, float]:
-    """Run a Python of a checkout; return CPU time and wall time (s), and GB."""
+def spent(
+    checkout: Path, arguments: tuple[str, ...], interpreter: str = "", **more: str
+) -> tuple[float, float, float]:
+    """Run a Python of a checkout, or another one; return CPU time and wall time (s), and GB."""
     with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as output:
         out = [f"--out={folder}/{WRITTEN[name]}" for name in arguments if name in WRITTEN]
         process = subprocess.Popen(
-            [python(checkout), *arguments, *out],
+            [interpreter or python(checkout), *arguments, *out],
             cwd=folder,
             env=environment(checkout) | more,
             stdout=output,

@@ -3,7 +3,8 @@
     python -m benchmarks.start [stages commands] [--before CHECKOUT]
 
 ``stages`` imports in one process what ``run tilt_0 --no-record`` needs, in that order, and runs the
-scene; ``commands`` runs commands, each in processes of its own.  CHECKOUT has a .venv of its own.
+scene; ``commands`` runs commands, each in processes of its own.  Both states run with the present
+Python: the packages of another environment would be compared too.
 Writes the parts of docs/model.md.
 """
 
@@ -11,11 +12,12 @@ from __future__ import annotations
 
 import json
 import subprocess
+import sys
 from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.before import CLI, COMPILE, ROOT, environment, python, spent
+from benchmarks.before import CLI, COMPILE, ROOT, environment, spent
 from benchmarks.pages import ratio, table, write_parts
 
 #: Prints the CPU time, s, at the end of each stage, the start of Python first.
@@ -58,7 +60,7 @@ def _stages(checkout: Path) -> dict[str, float]:
     """Return the CPU time of each stage, s."""
     found: dict[str, float] = json.loads(
         subprocess.run(
-            [python(checkout), "-c", _STAGES],
+            [sys.executable, "-c", _STAGES],
             cwd=checkout,
             env=environment(checkout),
             capture_output=True,
@@ -71,14 +73,14 @@ def _stages(checkout: Path) -> dict[str, float]:
 
 def _commands(checkout: Path) -> dict[str, float]:
     """Return the CPU time of each command, s."""
-    return {name: spent(checkout, command)[0] for name, command in COMMANDS.items()}
+    return {name: spent(checkout, command, sys.executable)[0] for name, command in COMMANDS.items()}
 
 
 def _measured(asked: Namespace, measure: Callable[[Path], dict[str, float]]) -> list[str]:
     """Return the table of the least CPU time of some rounds, of both states in turn."""
     states = [ROOT] if asked.before is None else [asked.before.resolve(), ROOT]
     for state in states:
-        spent(state, COMPILE)
+        spent(state, COMPILE, sys.executable)
     rounds = [[measure(state) for state in states] for _ in range(asked.rounds)]
     rows = []
     for name in rounds[0][0]:
