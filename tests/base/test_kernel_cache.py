@@ -30,13 +30,18 @@ def python(folder, code):
     return subprocess.run(command, env=environment, capture_output=True, text=True)
 
 
-def test_a_kernel_that_was_loaded_runs_but_is_not_compiled_into_another(tmp_path):
-    """Its text is not kept: another kernel would get it without what it does."""
+def test_a_kernel_that_was_loaded_runs_and_is_compiled_into_another(tmp_path):
+    """Its text is kept apart, and read only where another kernel needs it, as an FMU does."""
     (tmp_path / "mine.py").write_text(MODULE)
     for _ in range(2):
         found = python(tmp_path, "import mine; print(mine.quarter(8.0))")
         assert found.stdout == "2.0\n", found.stderr
+    (text,) = tmp_path.rglob("*.bc")
+    found = python(tmp_path, "import mine; mine.quarter(8.0); print(mine.eighth(8.0))")
+    assert found.stdout == "1.0\n", found.stderr
+    for kept in tmp_path.rglob("mine.eighth*"):
+        kept.unlink()
+    text.unlink()
     refused = python(tmp_path, "import mine; mine.quarter(8.0); print(mine.eighth(8.0))")
     assert refused.returncode != 0
-    assert "unfit for linking" in refused.stderr
-    assert refused.stdout == ""
+    assert text.name in refused.stderr

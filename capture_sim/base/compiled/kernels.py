@@ -41,6 +41,7 @@ _SOURCES = sorted(
         "base/compiled/kernels.py",
         "base/compiled/compiler.py",
         "base/compiled/numba_internals.py",
+        "base/compiled/vector_code.py",
         "base/compiled/vectors.py",
         "dynamics/samples.py",
         "scene/geometry.py",
@@ -165,7 +166,7 @@ def plain(function: F) -> F:
     python = function.py_func
     names = dict(python.__globals__)
     for name in python.__code__.co_names:
-        value = getattr(names.get(name), "scalar", names.get(name))  # of an intrinsic
+        value = getattr(names.get(name), "scalar", names.get(name))  # of a VectorKernel
         if isinstance(value, Kernel):
             names[name] = plain(value)
     copy: F = FunctionType(  # type: ignore[assignment]

@@ -8,11 +8,13 @@ version supports them.
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import math
 import sys
 import tempfile
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -20,6 +22,8 @@ import numba
 from numba.core.caching import FunctionCache
 from numba.core.compiler import Compiler
 from numba.core.registry import cpu_target
+
+from capture_sim.base.files import whole_file
 
 
 def _load_without_blas() -> None:
@@ -73,11 +77,18 @@ class _EntryCompiler(Compiler):
         return super().define_pipelines()
 
 
+def _read_text(library: Any, path: Path) -> Any:
+    """Return LLVM's module of a loaded library, to compile it into others."""
+    if library._shared_module is None:
+        library._shared_module = llvm.parse_bitcode(path.read_bytes())
+    return library._shared_module
+
+
 def _machine_code(library: Any) -> tuple[str, str, tuple[bytes, bytes]]:
     """Return a library as Numba keeps it, with the names of its functions in place of their text.
 
     Numba would read LLVM's text at every start, to be able to compile the function into others,
-    for nearly half of the time of a start.
+    which takes nearly half of the time to load it; see :class:`_Cache`.
     """
     names = [
         f.name
@@ -102,8 +113,22 @@ class _Cache(FunctionCache):
         """Return the compiled code for a signature; None if there is none."""
         found = self._load_overload(sig, target_context)
         if found is not None:
-            found.library._shared_module = None  # nothing to compile into others: Numba refuses
+            library = found.library
+            library._shared_module = None
+            library._get_module_for_linking = partial(_read_text, library, self._text_file(found))
         return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the compiled code, and LLVM's text of it in a file of its own."""
+        text = data.library._get_module_for_linking().as_bitcode()
+        with whole_file(self._text_file(data)) as path:
+            path.write_bytes(text)
+        super().save_overload(sig, data)
+
+    def _text_file(self, compiled: Any) -> Path:
+        """Return the file with LLVM's text of a function."""
+        name = hashlib.sha256(compiled.fndesc.mangled_name.encode()).hexdigest()
+        return Path(self._cache_path) / f"{name[:16]}.bc"
 
 
 class _InnerCompiler(_EntryCompiler):

@@ -13,11 +13,9 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numba import types
-from numba.extending import intrinsic
 
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
-from capture_sim.base.compiled.vectors import VectorCode, vectorized
+from capture_sim.base.compiled.vectors import vectorized
 
 #: Of the squares of forces: round-off does not decide what is below this share of the limit's.
 _EASILY = 0.98
@@ -64,40 +62,28 @@ def resistance_of_each(ux, uy, omega, balls, v_eps):
     return fx, fy, torque
 
 
-@intrinsic
-def _resistance_at_once(
-    typingctx: Any, ux: Any, uy: Any, omega: Any, balls: Any, v_eps: Any
-) -> Any:
+@vectorized(resistance_of_each, results=3)
+def resistance(code: Any, ux: Any, uy: Any, omega: Any, balls: Any, v_eps: Any) -> list[Any]:
     """Do what :func:`resistance_of_each` does, with the three balls in a vector register.
 
     A square root and a division take as long for four numbers as for one.
     """
-    number = types.float64
-    signature = types.UniTuple(number, 3)(number, number, number, balls, number)
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        code = VectorCode(context, builder, signature, arguments)
-        x, y, limit = (code.load(code.data(3), 4 * row, 4) for row in range(3))
-        ux, uy, omega, v_eps = (code.broadcast(arguments[k], 4) for k in (0, 1, 2, 4))
-        bx = code.subtract(ux, code.multiply(omega, y))
-        by = code.add(uy, code.multiply(omega, x))
-        square = code.add(code.multiply(v_eps, v_eps), code.multiply(bx, bx))
-        square = code.add(square, code.multiply(by, by))
-        g = code.divide(limit, code.root(square, 4))
-        fx, fy = code.multiply(g, bx), code.multiply(g, by)
-        torque = code.subtract(code.multiply(x, fy), code.multiply(y, fx))
-        totals = []
-        for values in (fx, fy, torque):
-            total = code.lane(values, 0, 4)
-            for k in (1, 2):
-                total = code.add(total, code.lane(values, k, 4))
-            totals.append(total)
-        return context.make_tuple(builder, signature.return_type, totals)
-
-    return signature, generate
-
-
-resistance = vectorized(_resistance_at_once, resistance_of_each)
+    x, y, limit = (code.load(balls, 4 * row, 4) for row in range(3))
+    ux, uy, omega, v_eps = (code.broadcast(value, 4) for value in (ux, uy, omega, v_eps))
+    bx = code.multiply_add(code.negative(omega), y, ux, 4)
+    by = code.multiply_add(omega, x, uy, 4)
+    square = code.multiply_add(bx, bx, code.multiply(v_eps, v_eps), 4)
+    square = code.multiply_add(by, by, square, 4)
+    g = code.divide(limit, code.root(square, 4))
+    fx, fy = code.multiply(g, bx), code.multiply(g, by)
+    torque = code.multiply_add(code.negative(y), fx, code.multiply(x, fy), 4)
+    totals = []
+    for values in (fx, fy, torque):
+        total = code.lane(values, 0, 4)
+        for k in (1, 2):
+            total = code.add(total, code.lane(values, k, 4))
+        totals.append(total)
+    return totals
 
 
 @kernel

@@ -15,11 +15,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import types
-from numba.extending import intrinsic
 
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
-from capture_sim.base.compiled.vectors import VectorCode, vectorized
+from capture_sim.base.compiled.vectors import vectorized
 
 _TWO_OVER_PI = 6.36619772367581382433e-01
 _EIGHTH = 0.785398163397448  # rad
@@ -90,44 +88,32 @@ def _one_by_one(a, b, c):
     return s_a, c_a, s_b, c_b, s_c, c_c
 
 
-@intrinsic
-def _at_once(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
+@vectorized(_one_by_one, results=6)
+def _at_once(code: Any, a: Any, b: Any, c: Any) -> list[Any]:
     """Do what :func:`_polynomials` does, for three angles in a vector register."""
-    number = types.float64
-    signature = types.UniTuple(number, 6)(number, number, number)
+    subtract, multiply = code.subtract, code.multiply
+    x = code.vector([a, b, c, c])
+    z = multiply(x, x)
+    w = multiply(z, z)
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        code = VectorCode(context, builder, signature, arguments)
-        add, subtract, multiply = code.add, code.subtract, code.multiply
-        one = code.constant(1.0, 4)
-        x = code.vector([*arguments, arguments[2]])
-        z = multiply(x, x)
-        w = multiply(z, z)
+    def sum_of(coefficients: Sequence[float]) -> Any:
+        k = [code.constant(value, 4) for value in coefficients]
+        first, second, third = (code.multiply_add(z, k[i + 1], k[i], 4) for i in (0, 2, 4))
+        return code.multiply_add(w, code.multiply_add(w, third, second, 4), first, 4)
 
-        def sum_of(coefficients: Sequence[float]) -> Any:
-            k = [code.constant(value, 4) for value in coefficients]
-            first, second, third = (add(k[i], multiply(z, k[i + 1])) for i in (0, 2, 4))
-            return add(first, multiply(w, add(second, multiply(w, third))))
-
-        sines = add(x, multiply(multiply(x, z), sum_of(_SINE)))
-        half = multiply(code.constant(0.5, 4), z)
-        top = subtract(one, half)
-        rest = add(subtract(subtract(one, top), half), multiply(w, sum_of(_COSINE)))
-        both = sines, add(top, rest)
-        found = [code.lane(values, k, 4) for k in range(3) for values in both]
-        return context.make_tuple(builder, signature.return_type, found)
-
-    return signature, generate
-
-
-_small = vectorized(_at_once, _one_by_one)
+    sines = code.multiply_add(multiply(x, z), sum_of(_SINE), x, 4)
+    half, one = multiply(code.constant(0.5, 4), z), code.constant(1.0, 4)
+    top = subtract(one, half)
+    rest = code.multiply_add(w, sum_of(_COSINE), subtract(subtract(one, top), half), 4)
+    both = sines, code.add(top, rest)
+    return [code.lane(values, k, 4) for k in range(3) for values in both]
 
 
 @inline_kernel
 def sines_cosines(a, b, c):
     """Return (sin a, cos a, sin b, cos b, sin c, cos c) of three angles, rad."""
     if abs(a) < _EIGHTH and abs(b) < _EIGHTH and abs(c) < _EIGHTH:
-        return _small(a, b, c)
+        return _at_once(a, b, c)
     return _one_by_one(a, b, c)
 
 
