@@ -6,7 +6,6 @@ import time
 from functools import partial
 
 from capture_sim.base.compiled.kernels import is_compiled
-from capture_sim.base.compiled.progress import watch_compilation
 from capture_sim.commands.output import Progress, echo
 from capture_sim.dynamics.compilation import compile_kernels
 
@@ -16,6 +15,8 @@ def compile_first() -> None:
     if is_compiled():
         compile_kernels()
         return
+    from capture_sim.base.compiled.progress import watch_compilation  # half a second: Numba
+
     echo("compiling the kernels, once for this version: about 30 s of CPU time on one core")
     began = time.perf_counter()
     with (

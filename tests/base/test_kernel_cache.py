@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 MODULE = """
 from capture_sim.base.compiled.kernels import entry_kernel, kernel
 
@@ -45,3 +47,18 @@ def test_a_kernel_that_was_loaded_runs_and_is_compiled_into_another(tmp_path):
     refused = python(tmp_path, "import mine; mine.quarter(8.0); print(mine.eighth(8.0))")
     assert refused.returncode != 0
     assert text.name in refused.stderr
+
+
+@pytest.mark.parametrize("command", ["show tilt_0", "compare --help", "identify --help"])
+def test_commands_that_compute_nothing_load_no_numba(command, tmp_path):
+    code = f"""
+import sys
+
+import pytest
+from capture_sim.cli import main
+try:
+    main({command.split()!r})
+finally:
+    print("numba" in sys.modules, file=sys.stderr)
+"""
+    assert python(tmp_path, code).stderr.splitlines()[-1] == "False"
