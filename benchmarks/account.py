@@ -103,7 +103,7 @@ _ERROR = """\
         )
 """
 _FACTOR = "        factor = next_factor(error, step.error, stepper.order)\n"
-#: The copies by the part that they tell the cost of.
+#: The copies, by the part whose cost they show.
 COPIES = {
     "equations": Copy(
         [
@@ -215,22 +215,23 @@ def least(work: Any, times: int) -> float:
 def serve(times: int) -> None:
     """Answer each line on standard input with the least times of all runs, s, as JSON.
 
-    A first line says what the runs are.  Each run has three times: without samples, with those of
-    the scene's rate, and of the set-up with the first call.
+    A first line has the counts of each run: steps, rejected steps, touches, evaluations.  Each run
+    has three times: without samples, with those of the scene's rate, and of the set-up with the
+    first call.
     """
     from capture_sim import Bench  # of the copy, as is load_scene
 
-    runs, said = [], []
+    runs, counted = [], []
     for name, changes, t_end in CASES.values():
         scene = load_scene(name, changes)
         bench = Bench(scene)
         bench.advance(np.array([t_end] if t_end else []))
-        said.append([bench.statistics.steps, bench.statistics.rejected, len(bench.touches)])
+        counted.append([bench.statistics.steps, bench.statistics.rejected, len(bench.touches)])
         until = t_end or scene.run.t_end
         sampled = bench.times(0, int(until * scene.run.state_rate) + 1)
         runs.append((scene, np.array([t_end] if t_end else []), sampled))
-        said[-1].append(bench.statistics.evaluations)
-    print(json.dumps(said), flush=True)
+        counted[-1].append(bench.statistics.evaluations)
+    print(json.dumps(counted), flush=True)
     for _ in sys.stdin:
         answer = []
         for scene, end, sampled in runs:
@@ -280,10 +281,10 @@ def measure(rounds: int, times: int, folder: Path) -> dict[str, Account]:
             stdout=subprocess.PIPE,
             text=True,
         )
-    said = {name: json.loads(_line(server)) for name, server in servers.items()}
+    counted = {name: json.loads(_line(server)) for name, server in servers.items()}
     for name, copy in COPIES.items():
         if name != "without weights":
-            for (steps, _, touches, _), base in zip(said[name], said[copy.base], strict=True):
+            for (steps, _, touches, _), base in zip(counted[name], counted[copy.base], strict=True):
                 assert touches == base[2], f"{name}: {touches} touches, not {base[2]}"
                 assert abs(steps - base[0]) <= 0.01 * base[0], f"{name}: {steps} steps"
     spent: dict[str, list[Any]] = {name: [] for name in servers}
@@ -297,12 +298,12 @@ def measure(rounds: int, times: int, folder: Path) -> dict[str, Account]:
     best = {name: np.min(values, axis=0) for name, values in spent.items()}  # case, kind
     accounts = {}
     for k, case in enumerate(CASES):
-        evaluations = said[""][k][3]
+        evaluations = counted[""][k][3]
         unit = 1e9 / evaluations
         parts = {}
         for name, copy in COPIES.items():
             if name != "without weights":
-                steps = [sum(said[of][k][:2]) for of in (name, copy.base)]
+                steps = [sum(counted[of][k][:2]) for of in (name, copy.base)]
                 more = best[name][k, 0] * steps[1] / steps[0] - best[copy.base][k, 0]
                 parts[name] = unit * float(more if copy.twice else -more)
         if load_scene(CASES[case][0]).supports is None:

@@ -5,8 +5,8 @@
 Only ``Bench.advance`` is timed, in one process per state; both stay alive.  In a round each
 state takes the least processor time of some runs of every scene.  The table has medians over the
 rounds, of the ratios too, and the largest difference of touches and extremes, per the largest value
-of its kind: between the states, and within the earlier one by a change of rtol that only rounding
-can tell.
+of its kind: between the states, and within the earlier one by a change of rtol as small as
+rounding.
 """
 
 from __future__ import annotations
