@@ -95,13 +95,15 @@ def drive(messages, pids):
     """Send the messages at their times; return the lags (n, 2) at times, the CPU, the verdict."""
     import rclpy
     from rclpy.experimental import EventsExecutor
+    from rclpy.signals import SignalHandlerOptions
 
     from capture_sim.messages.topics import CAPTURE_STATUS
     from capture_sim.nodes.base import dds
     from capture_sim.nodes.base.endpoints import from_bytes, message_class, qos_of
 
     dds.configure(os.environ)
-    rclpy.init(args=[])
+    # the pool ends this process with SIGTERM, which rclpy would take for its own
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("driver", enable_rosout=False)
     senders = {
         topic: node.create_publisher(message_class(topic.type_name), topic.name, qos_of(topic))
