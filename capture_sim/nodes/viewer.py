@@ -98,11 +98,12 @@ class ViewerNode(BenchNode, RunPart):
             self._readers = {topic: MeasurementReader(topic) for topic in OF_A_BENCH}
             for topic in (*OF_A_BENCH, *EXTRA_TOPICS):
                 self.listen(topic, partial(self._receive_measurement, topic), raw=True)
-        self.listen(BENCH_EVENT, self._receive_event)
         self.listen(CAPTURE_STATUS, self._receive_status, raw=True)
         # the last message is also shown when nothing follows: the run may be paused
         self.every(max(0.2, 1.0 / refresh), self._view.show)
         self._follower = Follower(self, VIEWER, self, list(RunSource), on_roll=False)
+        # each event comes once: it is waited for, even after the run's end
+        self._follower.follow(BENCH_EVENT, self._receive_event)
         self._follower.join()
         self.get_logger().info(f"look at the runs with: rerun {self._view.address}")
 
@@ -209,8 +210,6 @@ class ViewerNode(BenchNode, RunPart):
         return t - self._zero
 
     def _receive_event(self, event: Any) -> None:
-        if self.run is None:
-            return
         self._view.event(event.t, event.kind, event.detail)
         if event.peak_force > 0.0:
             self._view.touch(event.peak_time, event.peak_force)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -12,12 +13,23 @@ from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message
 
 import capture_sim
-from capture_sim.messages.topics import CHASER_ODOMETRY, JOINT_STATES, TARGET_ODOMETRY
+from capture_sim.messages.convert import Messages, RunDescription
+from capture_sim.messages.topics import (
+    BENCH_EVENT,
+    CHASER_ODOMETRY,
+    JOINT_STATES,
+    RUN_INFO,
+    SIMULATOR,
+    STREAM_COUNTS,
+    TARGET_ODOMETRY,
+)
 from capture_sim.nodes.base.endpoints import message_class, qos_of
+from capture_sim.nodes.base.node import BenchNode
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
 from capture_sim.viewing.shapes import tip_in_cone
 from tests.nodes.bench_processes import Client, statuses, wait_until
+from tests.nodes.own_domain import participant
 
 pytest.importorskip("rerun", reason="needs rerun")
 
@@ -90,6 +102,32 @@ def test_node_shows_the_suites_run_and_disturbs_nothing(viewer, start, run, tmp_
         assert sorted(peaks) == sorted(run.touches["peak_force"])
         _, verdicts = column(found, "/states/tilt_p10/verdict", "state")
         assert verdicts.tolist() == ["approach", "contact", "captured"]
+
+    seen(address, tmp_path / "late.rrd", check)
+    assert ended(node)
+
+
+def test_touches_that_come_after_the_end_of_their_run_are_shown(viewer, run, tmp_path):
+    """A viewer that has found the topic of events late: on a busy machine, of a quick run."""
+    node, address = viewer()
+    events = read_bag(write_run(run, tmp_path / "run.mcap")).raw(BENCH_EVENT.name)
+    described = RunDescription.of(run.scene, "a run", [SIMULATOR])
+    make, topics = Messages(), (RUN_INFO, STREAM_COUNTS, BENCH_EVENT)
+    counts = make.stream_counts(SIMULATOR, described.run_id, {BENCH_EVENT.name: len(events)})
+    with closing(BenchNode("bench", context=participant())) as bench:
+        bench.open(topics)
+        wait_until(lambda: all(bench.topic_publishers.matched(topic) for topic in topics))
+        bench.send(RUN_INFO, make.serialise(make.run_info(described)))
+        bench.send(STREAM_COUNTS, make.serialise(counts))
+        time.sleep(1.0)
+        for event in events:
+            bench.send(BENCH_EVENT, event)
+        node.wait_for("tilt_p10: shown")
+    assert "missing" not in node.text
+
+    def check(found):
+        _, peaks = column(found, "/plots/contact_force/tilt_p10/touches", "scalars")
+        assert sorted(peaks) == sorted(run.touches["peak_force"])
 
     seen(address, tmp_path / "late.rrd", check)
     assert ended(node)
