@@ -22,9 +22,10 @@ import resource, sys, time
 import rclpy
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import HistoryPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 role, count, period = sys.argv[1], int(sys.argv[2]), float(sys.argv[3])
-rclpy.init()
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # SIGTERM ends this process
 node = rclpy.create_node(role)
 qos = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 def used():
