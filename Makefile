@@ -10,6 +10,8 @@ NUMERICAL := tests/dynamics/test_accuracy.py tests/dynamics/test_second_formulat
 # A sourced ROS, or another environment, must not mix with the one in .venv.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Without bytecode each of the hundreds of processes of the tests would compile the package again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup develop lock run test test-core test-nodes build/lint.log
 .PHONY: test-generic test-numpy1 lint docs benchmark reproduction faults picture format clean test-plain
