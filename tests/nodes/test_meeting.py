@@ -1,12 +1,14 @@
 """How nodes meet for a run, without DDS: who waits for whom, and who does not come."""
 
+import math
+
 import pytest
 
 from capture_sim import load_scene
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.topics import BENCH_STATE, ROLL, RUN_INFO, STREAM_COUNTS, RunSource
-from capture_sim.nodes.base.endpoints import DISCOVERY_TIME, message_class
+from capture_sim.nodes.base.endpoints import DISCOVERY_TIME, TRANSIT_TIME, message_class
 from capture_sim.nodes.protocol import announcer, follower, roll
 from capture_sim.nodes.protocol.announcer import ALONE_TIME, Announcer
 from capture_sim.nodes.protocol.follower import JOIN_TIMEOUT, Follower
@@ -21,6 +23,8 @@ from capture_sim.nodes.protocol.roll import (
 from tests.nodes.fake_node import FakeNode
 
 OTHER = "/launcher#1"
+#: The simulator's counts of a run without messages.
+ALL_SENT = ("simulator", "a run", {})
 
 
 @pytest.fixture
@@ -158,6 +162,32 @@ def test_messages_that_are_missing_at_ctrl_c_are_named_if_the_run_was_complete(
     missing = "tilt_0: ended with messages missing: bench/state: 3 messages missing (seq 0 to 2)"
     assert (missing in node.log.lines) == bool(status)
     assert ("tilt_0: ended early: interrupted" in node.log.lines) != bool(status)
+
+
+@pytest.mark.parametrize("named, ended", [(4.0, 30.0), (math.inf, 1.0 + JOIN_TIMEOUT)])
+def test_an_announcer_whose_name_is_not_known_yet_has_not_gone(node, named, ended):
+    """A viewer follows no stream all the time; on a busy machine names are known seconds later."""
+
+    class Watching(Part):
+        def end(self, run, end):
+            self.ended = self.node.now
+            return end.report
+
+    part = Watching(node)
+    watching = Follower(node, "viewer", part, [RunSource.SIMULATION], on_roll=False)
+    watching.join()
+    run = RunDescription.of(
+        load_scene("tilt_0"), "a run", ["simulator"], announcer="/simulator#1", participants=()
+    )
+    node.at(1.0, lambda: node.hear(RUN_INFO, node.messages.run_info(run)))
+    node.at(named, lambda: node.publishers.append("/simulator"))
+    node.at(30.0, lambda: node.hear(STREAM_COUNTS, node.messages.stream_counts(*ALL_SENT)))
+    node.at(60.0, node.end_request.set)
+    with pytest.raises(KeyboardInterrupt):
+        watching.work()
+    assert part.ended == pytest.approx(ended, abs=TRANSIT_TIME + 0.2)
+    gone = "tilt_0: the simulator has gone without ending the run"
+    assert (gone in node.log.lines) == math.isinf(named)
 
 
 # who announces

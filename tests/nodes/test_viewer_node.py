@@ -88,7 +88,7 @@ def test_node_shows_the_suites_run_and_disturbs_nothing(viewer, start, run, tmp_
     assert statuses(nodes) == dict.fromkeys(nodes, 0)
     recorded = read_bag(tmp_path / "tilt_p10.mcap")
     assert recorded.complete, recorded.problems
-    node.wait_for("tilt_p10: shown")
+    node.wait_for("tilt_p10: shown\n")
 
     def check(found):
         times, tip = column(found, "/tilt_p10/close_up/tip", "positions")

@@ -97,6 +97,7 @@ class _Participation:
         self.counts: Any = None  # StreamCounts by which the simulator has ended it
         self.has_begun = self.has_ended = False
         self.is_closed = False  # the announcer has announced that no run is on
+        self.since = time.monotonic()
         self.last_sign = -math.inf  # s (wall), of a message or of the announcer
         self.logged: set[str] = set()  # problems
 
@@ -293,7 +294,7 @@ class Follower:
                 text = f"another run, {self._next.name}, was announced meanwhile"
                 return RunEnd(EndKind.ABANDONED, text)
             is_open = not (present.has_ended or present.is_closed)
-            if is_open and self.roll.is_there(present.run.info.announcer):
+            if is_open and self._may_go_on(present):
                 present.note_sign()
             now = time.monotonic()
             if now > present.last_sign + (DRAIN_TIMEOUT if present.has_ended else TRANSIT_TIME):
@@ -309,6 +310,12 @@ class Follower:
         requested = reason in {kind.value for kind in CutKind if kind.is_requested}
         requested = requested or (reason == INTERRUPTED and self._node.end_request.is_set())
         return RunEnd(EndKind.REQUESTED if requested else EndKind.CUT, reason)
+
+    def _may_go_on(self, present: _Participation) -> bool:
+        """Return True if the announcer is there, or its name may not have been discovered yet."""
+        announcer = present.run.info.announcer
+        is_early = time.monotonic() < present.since + JOIN_TIMEOUT
+        return self.roll.is_there(announcer) or (is_early and self.roll.may_be_there(announcer))
 
     # announcements
 

@@ -211,7 +211,7 @@ class Roll:
             node_of(id_)
             for id_ in participants
             if not (id_ in self.parts and has(self.parts[id_]))
-            and self._may_be_there(id_)
+            and self.may_be_there(id_)
             and id_ != self.id
         ]
 
@@ -243,7 +243,7 @@ class Roll:
 
         On a busy machine a node is heard before it is discovered: it counts.
         """
-        return [p.node for p in self.parts.values() if p.is_in_trial and self._may_be_there(p.id)]
+        return [p.node for p in self.parts.values() if p.is_in_trial and self.may_be_there(p.id)]
 
     def await_heard(self) -> None:
         """Wait until all nodes that publish on the roll have been heard, for a while at most."""
@@ -282,7 +282,7 @@ class Roll:
             self._seen.add(participant)
         return is_there or participant == self.id
 
-    def _may_be_there(self, participant: str) -> bool:
+    def may_be_there(self, participant: str) -> bool:
         """Return False if a participant has left: it was there, and is not now."""
         return self.is_there(participant) or participant not in self._seen
 
