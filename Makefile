@@ -13,7 +13,7 @@ unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # Without bytecode each of the hundreds of processes of the tests would compile the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup develop lock run test test-core test-nodes build/lint.log
+.PHONY: help setup develop lock run test test-core test-nodes build/lint.log build/nodes.log
 .PHONY: test-generic test-numpy1 lint docs benchmark reproduction faults picture format clean test-plain
 
 help:
@@ -45,21 +45,25 @@ setup develop:
 run: setup
 	$(BIN)/capture-sim bench tilt_0 tilt_p10 tilt_m10 --out runs
 
-# Lint runs beside the tests that compute, and its log is printed after those. Nodes wait for each
-# other: their tests run alone, a file with the nodes that it shares in one process.
+# Lint, and the tests of nodes, which mostly wait for each other, run beside the tests that compute;
+# their logs are printed after those.
 test: develop
 	@mkdir -p build
-	@$(MAKE) --no-print-directory --keep-going -j2 test-core build/lint.log; \
-		status=$$?; cat build/lint.log; $(MAKE) --no-print-directory test-nodes && exit $$status
+	@$(MAKE) --no-print-directory --keep-going -j3 test-core build/lint.log build/nodes.log; \
+		status=$$?; cat build/lint.log build/nodes.log; exit $$status
 
 test-core: develop
 	$(BIN)/python -m pytest tests --ignore tests/nodes -n auto --durations=20
 
+# A file with the nodes that it shares runs in one process.
 test-nodes: develop
 	$(BIN)/python -m pytest tests/nodes -n auto --dist loadfile --durations=20
 
 build/lint.log: develop
 	@$(MAKE) --no-print-directory lint >$@ 2>&1
+
+build/nodes.log: develop
+	@$(MAKE) --no-print-directory test-nodes >$@ 2>&1
 
 # Rounding differs from one processor to the next, most of all without fused multiply and add, and
 # tests must not depend on it. These are the tests that are most sensitive to it: each has failed for
