@@ -23,6 +23,7 @@ from capture_sim.nodes.protocol.roll import (
 from tests.nodes.fake_node import FakeNode
 
 OTHER = "/launcher#1"
+GONE = "tilt_0: the simulator has gone without ending the run"
 #: The simulator's counts of a run without messages.
 ALL_SENT = ("simulator", "a run", {})
 
@@ -164,30 +165,53 @@ def test_messages_that_are_missing_at_ctrl_c_are_named_if_the_run_was_complete(
     assert ("tilt_0: ended early: interrupted" in node.log.lines) != bool(status)
 
 
-@pytest.mark.parametrize("named, ended", [(4.0, 30.0), (math.inf, 1.0 + JOIN_TIMEOUT)])
-def test_an_announcer_whose_name_is_not_known_yet_has_not_gone(node, named, ended):
-    """A viewer follows no stream all the time; on a busy machine names are known seconds later."""
+@pytest.fixture
+def watching(node):
+    """What follows no stream, as a viewer, and waits for the end of a run announced at 1 s."""
 
     class Watching(Part):
         def end(self, run, end):
             self.ended = self.node.now
             return end.report
 
-    part = Watching(node)
-    watching = Follower(node, "viewer", part, [RunSource.SIMULATION], on_roll=False)
+    watching = Follower(node, "viewer", Watching(node), [RunSource.SIMULATION], on_roll=False)
     watching.join()
+    watching.part = watching._part
     run = RunDescription.of(
         load_scene("tilt_0"), "a run", ["simulator"], announcer="/simulator#1", participants=()
     )
     node.at(1.0, lambda: node.hear(RUN_INFO, node.messages.run_info(run)))
+    node.at(60.0, node.end_request.set)
+    return watching
+
+
+@pytest.mark.parametrize("named, ended", [(4.0, 30.0), (math.inf, 1.0 + JOIN_TIMEOUT)])
+def test_an_announcer_whose_name_is_not_known_yet_has_not_gone(node, watching, named, ended):
+    """On a busy machine names are known seconds later than the first message comes."""
     node.at(named, lambda: node.publishers.append("/simulator"))
     node.at(30.0, lambda: node.hear(STREAM_COUNTS, node.messages.stream_counts(*ALL_SENT)))
-    node.at(60.0, node.end_request.set)
     with pytest.raises(KeyboardInterrupt):
         watching.work()
-    assert part.ended == pytest.approx(ended, abs=TRANSIT_TIME + 0.2)
-    gone = "tilt_0: the simulator has gone without ending the run"
-    assert (gone in node.log.lines) == math.isinf(named)
+    assert watching.part.ended == pytest.approx(ended, abs=TRANSIT_TIME + 0.2)
+    assert (GONE in node.log.lines) == math.isinf(named)
+
+
+@pytest.mark.parametrize("is_sent", [True, False])
+def test_a_node_that_stood_still_takes_what_waits_before_it_ends_the_run(node, watching, is_sent):
+    """The simulator has gone meanwhile, and the end that it sent is still to be read."""
+    node.publishers.append("/simulator")
+
+    def stand_still():
+        node.publishers.remove("/simulator")
+        node.now += 5.0
+
+    node.at(3.0, stand_still)
+    if is_sent:
+        node.at(8.05, lambda: node.hear(STREAM_COUNTS, node.messages.stream_counts(*ALL_SENT)))
+    with pytest.raises(KeyboardInterrupt):
+        watching.work()
+    assert watching.part.ended == pytest.approx(8.0 if is_sent else 8.0 + TRANSIT_TIME, abs=0.2)
+    assert (GONE in node.log.lines) != is_sent
 
 
 # who announces

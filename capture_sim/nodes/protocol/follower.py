@@ -98,12 +98,14 @@ class _Participation:
         self.has_begun = self.has_ended = False
         self.is_closed = False  # the announcer has announced that no run is on
         self.since = time.monotonic()
-        self.last_sign = -math.inf  # s (wall), of a message or of the announcer
+        # polls since a message or a sign of the announcer: each serves what waits, and one in which
+        # this node stood still counts once
+        self.quiet = 0
         self.logged: set[str] = set()  # problems
 
     def note_sign(self) -> None:
         """Note that something of the run has come, or that its announcer is there."""
-        self.last_sign = time.monotonic()
+        self.quiet = 0
 
     def missing(self) -> RunEnd:
         """Return the end of a run of which messages have not come."""
@@ -290,19 +292,19 @@ class Follower:
         present.note_sign()
         deadline = time.monotonic() + limit
         while not self._node.wait(is_over, POLL):
+            present.quiet += 1
             if self._next is not None:
                 text = f"another run, {self._next.name}, was announced meanwhile"
                 return RunEnd(EndKind.ABANDONED, text)
             is_open = not (present.has_ended or present.is_closed)
             if is_open and self._may_go_on(present):
                 present.note_sign()
-            now = time.monotonic()
-            if now > present.last_sign + (DRAIN_TIMEOUT if present.has_ended else TRANSIT_TIME):
+            if present.quiet * POLL > (DRAIN_TIMEOUT if present.has_ended else TRANSIT_TIME):
                 if not present.has_ended:
                     text = "the simulator has gone without ending the run"
                     return RunEnd(EndKind.ABANDONED, text)
                 return present.missing()
-            if now > deadline:
+            if time.monotonic() > deadline:
                 return RunEnd(EndKind.ABANDONED, "no end of the run")
         if present.counts is None or present.counts.complete:
             return RunEnd(EndKind.COMPLETE)
