@@ -11,7 +11,15 @@ from rclpy.qos import ReliabilityPolicy
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.convert import RunDescription
-from capture_sim.messages.topics import ROLL, RUN_INFO, STREAM_COUNTS, RunSource
+from capture_sim.messages.topics import (
+    CAPTURE_DETECTOR,
+    LAUNCHER,
+    RECORDER,
+    ROLL,
+    RUN_INFO,
+    STREAM_COUNTS,
+    RunSource,
+)
 from capture_sim.nodes.base.endpoints import DISCOVERY_TIME, full_name
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.protocol.roll import Part, Roll, RunReport, has_streams, node_of, run_key
@@ -21,6 +29,10 @@ END_TIMEOUT = 60.0
 #: A node that has heard no other this long after its start, s (wall), is alone: on a busy machine
 #: discovery needs more than :data:`DISCOVERY_TIME`, and beside a trial nothing may be published.
 ALONE_TIME = 1.0
+#: A node that has the name of a role and is not on the roll, which a node joins last, may still be
+#: starting for this long after its subscriptions were found, s (wall): on a busy machine a detector
+#: was, and its run began without it.
+STARTING_TIME = 5.0
 #: What is waited for is logged after this long, then at growing intervals, s (wall).
 _REPORT_PERIOD = 2.0
 
@@ -220,7 +232,8 @@ class Announcer:
     def _is_reading(self, name: str) -> bool:
         """Return True if a node that is not on the roll is matched with all that it reads.
 
-        Its subscriptions then have not changed for :data:`DISCOVERY_TIME`.
+        Its subscriptions then have not changed for :data:`DISCOVERY_TIME`, and for
+        :data:`STARTING_TIME` if the name is a role's.
         """
         if any(_is_named(node, name) for node in self._node.nodes_that_publish(ROLL)):
             return False
@@ -238,7 +251,9 @@ class Announcer:
             if count:
                 self._warn_of_best_effort(name)
             self._subscriptions[name], self._changed = count, now
-        return count > 0 and matched and now > self._changed + DISCOVERY_TIME
+        is_role = name.rpartition("/")[2] in (LAUNCHER, CAPTURE_DETECTOR, RECORDER)
+        settled = self._changed + (STARTING_TIME if is_role else DISCOVERY_TIME)
+        return count > 0 and matched and now > settled
 
     def _warn_of_best_effort(self, name: str) -> None:
         for topic in self._node.topic_publishers.topics:
