@@ -1,8 +1,10 @@
 """What DDS is set to where the user has not chosen: a bench is seen on its own machine only."""
 
 import os
+import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -33,6 +35,8 @@ while True:  # the first request may get lost, see bench_processes.Client
     if answer.done():
         break
 print("actuator" in answer.result().result.names, flush=True)
+node.destroy_node()
+rclpy.shutdown()
 """
 
 
@@ -116,7 +120,12 @@ def test_a_node_opens_no_port_to_the_network_and_plain_nodes_find_it():
         everything[-1].wait_for("ready")
         assert "00000000" in addresses(everything[-1].process.pid)
     finally:
+        # killed, those with shared memory leave files of it
         for one in everything:
+            one.process.send_signal(signal.SIGINT)
+        for one in everything:
+            with suppress(subprocess.TimeoutExpired):  # plain rclpy may not come to its end
+                one.process.wait(20.0)
             one.process.kill()
             one.process.wait()
 
