@@ -22,7 +22,6 @@ from capture_sim.messages.topics import CHASER_POSE, HOLD, RUN_INFO
 from capture_sim.nodes.base.endpoints import TRANSIENT_LOCAL
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
-from capture_sim.recording.read import read_run
 from tests.nodes.bench_client import wait_until
 
 OUTCOMES = ("captured", "rebound", "missed")
@@ -52,15 +51,13 @@ def test_a_session_of_trials(start, client, tmp_path, capfd):
                 # on a busy machine poses get lost, and the speed is then not measured
                 expected_speed = pytest.approx(0.105, rel=0.1)
                 assert result.impact_speed == expected_speed or math.isnan(result.impact_speed)
-                # ... and the peak of the stroke may be between two that came
+                # ... and the peak of the stroke may be lost: the bench keeps ten messages
                 assert 0.0 < result.max_stroke < 0.003 * 1.05
                 assert result.max_force > 10.0
             assert result.complete, list(result.problems)
             assert result.recording == str(tmp_path / f"c_{outcome}.mcap")
             check(outcome, result.recording, capfd)
             run = read_bag(result.recording)
-            strokes = read_run(result.recording).measured("stroke").values
-            assert not result.max_stroke > -strokes.min()
             assert run.problems == ()
             assert run.log_times(CHASER_POSE)[0] >= run.log_times(RUN_INFO)[0]
 
