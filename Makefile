@@ -45,8 +45,8 @@ setup develop:
 run: setup
 	$(BIN)/capture-sim bench tilt_0 tilt_p10 tilt_m10 --out runs
 
-# Lint, and the tests of nodes, which mostly wait for each other, run beside the tests that compute;
-# their logs are printed after those.
+# Lint and the node tests, which mostly wait, run at the same time as the core tests; their logs are
+# printed at the end.
 test: develop
 	@mkdir -p build
 	@$(MAKE) --no-print-directory --keep-going -j3 test-core build/lint.log build/nodes.log; \

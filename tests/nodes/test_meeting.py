@@ -167,7 +167,7 @@ def test_messages_that_are_missing_at_ctrl_c_are_named_if_the_run_was_complete(
 
 @pytest.fixture
 def watching(node):
-    """What follows no stream, as a viewer, and waits for the end of a run announced at 1 s."""
+    """A follower without streams, as a viewer has, of a run that is announced at 1 s."""
 
     class Watching(Part):
         def end(self, run, end):
@@ -197,15 +197,15 @@ def test_an_announcer_whose_name_is_not_known_yet_has_not_gone(node, watching, n
 
 
 @pytest.mark.parametrize("is_sent", [True, False])
-def test_a_node_that_stood_still_takes_what_waits_before_it_ends_the_run(node, watching, is_sent):
-    """The simulator has gone meanwhile, and the end that it sent is still to be read."""
+def test_a_starved_node_reads_waiting_messages_before_it_ends_the_run(node, watching, is_sent):
+    """The simulator has exited meanwhile, and its counts, which end the run, are not read yet."""
     node.publishers.append("/simulator")
 
-    def stand_still():
+    def be_starved():
         node.publishers.remove("/simulator")
         node.now += 5.0
 
-    node.at(3.0, stand_still)
+    node.at(3.0, be_starved)
     if is_sent:
         node.at(8.05, lambda: node.hear(STREAM_COUNTS, node.messages.stream_counts(*ALL_SENT)))
     with pytest.raises(KeyboardInterrupt):

@@ -98,8 +98,8 @@ class _Participation:
         self.has_begun = self.has_ended = False
         self.is_closed = False  # the announcer has announced that no run is on
         self.since = time.monotonic()
-        # polls since a message or a sign of the announcer: each serves what waits, and one in which
-        # this node stood still counts once
+        # Polls since a message or a sign of the announcer. Each poll reads waiting messages even if
+        # this node was stopped meanwhile; by wall time a run would end while its messages wait.
         self.quiet = 0
         self.logged: set[str] = set()  # problems
 
