@@ -285,15 +285,23 @@ def test_a_recording_is_read_by_others(recordings, tmp_path, run):
     assert "mean" in out
 
 
+#: Most lines of a written page, without its measured and generated parts.
+LONGEST_PAGE = 250
+#: Pages that are longer today, with their length: they may only shrink.
+LONG_PAGES = {"detection": 260, "hardware_in_the_loop": 275, "model": 435}
+
+
 def test_pages_stay_few_and_short():
     """What is written, without what is measured or made from the code."""
     texts = {page.stem: page.read_text() for page in (ROOT / "docs").glob("*.md")}
     assert set(texts) > EVIDENCE
     written = {stem: text for stem, text in texts.items() if stem not in EVIDENCE}
-    assert len(written) <= 18
+    assert len(written) <= 24
     del written["scenes"]  # made by tools/reference.py, as is the part of nodes.md
     generated = re.compile(r"<!-- (generated|measured)\b.*?<!-- end of \1 -->", re.DOTALL)
-    assert sum(generated.sub("", text).count("\n") for text in written.values()) <= 2600
+    lines = {stem: generated.sub("", text).count("\n") for stem, text in written.items()}
+    longest = {stem: LONG_PAGES.get(stem, LONGEST_PAGE) for stem in lines}
+    assert not {stem: n for stem, n in lines.items() if n > longest[stem]}
 
 
 @pytest.mark.parametrize("page", PAGES)
