@@ -13,12 +13,13 @@ unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # Without bytecode each of the hundreds of processes of the tests would compile the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup develop lock run test test-core test-nodes build/lint.log build/nodes.log
+.PHONY: help setup develop lock run test test-all test-core test-nodes build/lint.log build/nodes.log
 .PHONY: test-generic test-numpy1 lint docs benchmark reproduction faults picture format clean test-plain
 
 help:
 	@echo "make run         set up and run the three experiments; results in runs/"
-	@echo "make test        set up, check the style and run the tests"
+	@echo "make test        set up, check the style and run the tests, with few cases each"
+	@echo "make test-all    ... with all cases, and with a processor's other rounding"
 	@echo "make test-core   only the tests without nodes; make test-nodes: only those of the nodes"
 	@echo "make test-generic run the numerical tests as compiled for any processor of this kind"
 	@echo "make test-numpy1 run the same tests with an apt Jazzy's NumPy, 1.26, and without rerun"
@@ -52,6 +53,11 @@ test: develop
 	@$(MAKE) --no-print-directory --keep-going -j3 test-core build/lint.log build/nodes.log; \
 		status=$$?; cat build/lint.log build/nodes.log; exit $$status
 
+# What tests/cases.py leaves out of `make test`
+test-all: develop
+	CAPTURE_SIM_CASES=all $(MAKE) test
+	$(MAKE) test-generic
+
 test-core: develop
 	$(BIN)/python -m pytest tests --ignore tests/nodes -n auto --durations=20
 
@@ -67,11 +73,11 @@ build/nodes.log: develop
 
 # Rounding differs from one processor to the next, most of all without fused multiply and add, and
 # tests must not depend on it. These are the tests that are most sensitive to it: each has failed for
-# it once. CAPTURE_SIM_EXAMPLES is the number of random benches.
+# it once. CAPTURE_SIM_CASES is the number of random benches.
 test-generic: develop
 	mkdir -p build/generic
 	NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= CAPTURE_SIM_CACHE=$(CURDIR)/build/generic \
-		CAPTURE_SIM_EXAMPLES=$${CAPTURE_SIM_EXAMPLES:-40} \
+		CAPTURE_SIM_CASES=$${CAPTURE_SIM_CASES:-40} \
 		$(BIN)/python -m pytest $(NUMERICAL) -n auto --durations=20
 
 # The committed files, in a clone with an environment of its own

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+from cases import all_cases
 
 from capture_sim import load_scene
 from capture_sim.base.compiled.kernels import cache_folder
@@ -44,8 +45,12 @@ os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(
 )
 
 
-def pytest_collection_modifyitems(items):
-    """Begin with what takes longest."""
+def pytest_collection_modifyitems(config, items):
+    """Leave out what is long, unless all is tried or named; begin with what takes longest."""
+    if not all_cases() and not any("::" in name for name in config.args):
+        long = [item for item in items if item.get_closest_marker("long")]
+        items[:] = [item for item in items if not item.get_closest_marker("long")]
+        config.hook.pytest_deselected(items=long)
     items.sort(key=lambda item: item.path.name not in LONG)
 
 

@@ -5,11 +5,11 @@ benchmarks/detection.py has the large version, and docs/detection_checked.md its
 
 import dataclasses
 import math
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import cases
 from injections import (
     CLEAN,
     HARD,
@@ -46,7 +46,7 @@ from capture_sim.messages.topics import (
 from capture_sim.run.run import detect
 from capture_sim.run.verdict import LiveConditions, Received, detect_received
 
-COUNT = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "2"))
+COUNT = cases(few=2, all=2)
 NS = 1_000_000_000
 
 

@@ -5,11 +5,11 @@ engine at rtol 1e-12; the order-5 pair at 1e-12 confirms that reference, and
 test_second_formulation.py the equations.
 """
 
-import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import cases
 from random_accuracy import (
     GRID,
     against_itself,
@@ -23,8 +23,8 @@ from random_scenes import random_scenes
 
 from capture_sim import load_scene, scene_names, simulate
 
-#: CAPTURE_SIM_EXAMPLES=200 tries more.
-SCENES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "80"))
+#: CAPTURE_SIM_CASES=200 tries more.
+SCENES = cases(few=80, all=80)
 #: m: what the default promises, up to 0.35 s after the first touch (measured: 2e-8).
 PROMISED = 1e-6
 #: The check, a run at rtol / 100, tells the error to this factor (docs/random_scenes.md), down

@@ -4,6 +4,7 @@
     python tests/faults/run.py paced_backwards      only these
     python tests/faults/run.py --jobs 16 --for 540  begin none after 540 s; a second call goes on
     python tests/faults/run.py --tree build/before  the faults and tests of another checkout
+    python tests/faults/run.py --cases all          by the tests of make test-all, not make test
 
 Every job has its own copy and its own compiled kernels, in build/faults, which a second call uses
 again.  The tests run without a fault first: only a test that passed then can detect one.  Results
@@ -50,8 +51,8 @@ def digest(tree: Path) -> str:
 class Copy:
     """A copy of the tree, with compiled kernels of its own."""
 
-    def __init__(self, tree: Path, folder: Path, changed: set[str]) -> None:
-        self._folder, self._tree = folder, folder / "tree"
+    def __init__(self, tree: Path, folder: Path, changed: set[str], cases: str) -> None:
+        self._folder, self._tree, self._cases = folder, folder / "tree", cases
         if not self._tree.exists():
             # the files' times as well, by which Numba knows its compiled code
             shutil.copytree(tree, self._tree, ignore=shutil.ignore_patterns(*LEFT_OUT))
@@ -68,6 +69,7 @@ class Copy:
             **os.environ,
             **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"),
             "CAPTURE_SIM_CACHE": str(self._folder / "cache"),
+            "CAPTURE_SIM_CASES": self._cases,
             "FAULTS_ONLY": str(cases) if only else "",
             "FAULTS_OUTCOMES": str(outcomes),
             "PYTHONPATH": f"{self._tree}{os.pathsep}{HERE}",
@@ -142,6 +144,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--for", type=float, default=float("inf"), dest="limit", metavar="SECONDS")
     parser.add_argument("--tree", type=Path, default=ROOT)
+    parser.add_argument("--cases", choices=("few", "all"), default="few", help="see tests/cases.py")
     options = parser.parse_args()
     tree, end = options.tree.resolve(), time.monotonic() + options.limit
     faults = tomllib.loads((tree / FAULTS).read_text(encoding="utf-8"))
@@ -149,7 +152,7 @@ def main() -> int:
         parser.error(f"unknown: {', '.join(sorted(unknown))}")
     names = options.names or list(faults)
     work = ROOT / "build" / "faults" / digest(tree)
-    results = Results(work / "results.jsonl")
+    results = Results(work / f"results_{options.cases}.jsonl")
     copies: queue.SimpleQueue[Copy] = queue.SimpleQueue()
 
     def each(kind: str, keys: list[str], job: Callable[[Copy, str], dict]) -> None:
@@ -184,7 +187,8 @@ def main() -> int:
         return {"result": result, "by": by}
 
     for job in range(options.jobs):
-        copies.put(Copy(tree, work / str(job), {fault["file"] for fault in faults.values()}))
+        changed = {fault["file"] for fault in faults.values()}
+        copies.put(Copy(tree, work / str(job), changed, options.cases))
     tests = dict.fromkeys(test for name in names for test in faults[name]["tests"])
     each("tests", list(tests), baseline)
     ready = [n for n in names if all(results.get(f"tests {t}") for t in faults[n]["tests"])]

@@ -1,11 +1,11 @@
 """Faults of a rig of the real kind: energy below its limit, and a reason for every stop."""
 
 import math
-import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import cases
 from four_bodies import kinetic
 from plate import plate_law, plate_mass
 
@@ -16,7 +16,7 @@ from capture_sim.hardware.loop import METHODS, Loop, run_in_process
 from capture_sim.hardware.rig import Cell, Rig, Servo, Transport
 from capture_sim.hardware.stage import LoopStage
 
-CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "162"))
+CASES = cases(few=162, all=162)
 SCENE = load_scene("_loop")
 MASS = plate_mass(SCENE)
 LIMITS = Limits()
@@ -140,7 +140,7 @@ def drawn(seed):
 
 
 def test_no_fault_gives_more_energy_than_the_limit_and_every_stop_has_its_reason():
-    """CAPTURE_SIM_EXAMPLES=3000 tries more."""
+    """CAPTURE_SIM_CASES=3000 tries more."""
     stops = {}
     for seed in range(CASES):
         loop, rig, kind = drawn(seed)

@@ -1,13 +1,13 @@
 """Launches watched by the streams of a bench with real sensors and a busy node, from seeds.
 
-`CAPTURE_SIM_EXAMPLES=200` repeats the study of docs/node_suite.md.
+`CAPTURE_SIM_CASES=200` repeats the study of docs/node_suite.md.
 """
 
 import math
-import os
 
 import numpy as np
 import pytest
+from cases import cases
 from disturbed_streams import BUSY, HARD, SENSORS, stream
 
 from capture_sim import load_scene
@@ -30,7 +30,7 @@ DISTURBANCES = {
 }
 #: By name: share of the planned speed, and where the chaser gets stuck, m.
 FAILURES = {"too slow": (0.6, math.inf), "stuck": (1.0, 0.05), "never let go": (0.0, 0.0)}
-SEEDS = range(int(os.environ.get("CAPTURE_SIM_EXAMPLES", "1")))
+SEEDS = range(cases(few=1, all=1))
 
 
 def watched(seed, outcome, *failure, backlog=0.0, clump=0.0, **disturbance):

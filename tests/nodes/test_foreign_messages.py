@@ -1,14 +1,14 @@
 """Whatever a foreign publisher sends, a node goes on: odd messages are refused in a line each.
 
-The messages are drawn from their definitions, with a fixed seed; ``CAPTURE_SIM_EXAMPLES=5000``
+The messages are drawn from their definitions, with a fixed seed; ``CAPTURE_SIM_CASES=5000``
 sends that many.  All nodes are started once and see all of them, within runs and between.
 """
 
-import os
 import re
 
 import pytest
 import rclpy
+from cases import cases
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from ports import free_port
@@ -26,7 +26,7 @@ from tests.nodes.bench_processes import processes
 from tests.nodes.forked import Forked
 from tests.nodes.own_domain import own_domain
 
-EXAMPLES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "300"))
+EXAMPLES = cases(few=300, all=300)
 READY = ("launcher", "capture_detector", "recorder", "viewer", CONTACT_RIG)
 SCENES = [load_scene(name).to_yaml() for name in ("tilt_0", "paper_undamped")]
 RUNS = ("", "run_1", "run_2", "../x", "\x1b[2J\n", "x" * 5000)

@@ -1,6 +1,6 @@
 """No parameter of any node takes a wrong value, at its start or while it runs.
 
-Nodes are made and asked in this process, as their services do; ``CAPTURE_SIM_EXAMPLES=5000`` tries
+Nodes are made and asked in this process, as their services do; ``CAPTURE_SIM_CASES=5000`` tries
 that many values.
 """
 
@@ -12,6 +12,7 @@ from dataclasses import fields
 from importlib import import_module
 
 import pytest
+from cases import cases
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rclpy.exceptions import NameValidationException, ParameterException
@@ -26,7 +27,7 @@ from tests.nodes.bench_client import ros_arguments
 from tests.nodes.bench_processes import Started, fresh
 from tests.nodes.own_domain import own_domain, participant
 
-EXAMPLES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "300"))
+EXAMPLES = cases(few=300, all=300)
 NODES = ("simulator", "launcher", "capture_detector", "recorder")
 #: What may be changed while a node runs; all else is read-only.
 CHANGED = {

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from collections import Counter
 
 import pytest
 from bags import copied, in_two_files
+from cases import cases
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -26,7 +26,7 @@ from capture_sim.run.summary_table import table as table_of
 from capture_sim.viewing.source import headline
 
 #: Damaged files of each kind; docs/node_suite.md has 50.
-CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "10"))
+CASES = cases(few=10, all=10)
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ Whatever a file holds, reading it ends with its run or one line, within memory b
 
 from __future__ import annotations
 
-import os
 import struct
 import tracemalloc
 import zlib
@@ -15,6 +14,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from cases import cases
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk
 from mcap.writer import Writer
@@ -36,7 +36,7 @@ from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.scan import UNPACKED_LEAST
 
-CASES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "100"))
+CASES = cases(few=100, all=100)
 COMMANDS = ("detect", "export", "compare", "identify")
 
 

@@ -7,13 +7,13 @@ topic, definition, entry of metadata, and the attachment; alone, and random pair
 from __future__ import annotations
 
 import itertools
-import os
 import random
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from cases import cases
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.interfaces import Nodetype
@@ -32,7 +32,7 @@ from capture_sim.viewing.curves import plotted_runs
 from capture_sim.viewing.figures import pictures_of
 
 #: Random pairs of missing parts.
-PAIRS = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "60"))
+PAIRS = cases(few=60, all=60)
 #: What a rig publishes, and what the suite's nodes send beside it.
 OF_A_RIG = {
     *("/chaser/odom", "/target/odom", "/joint_states", "/contact/wrench", "/bench/contact"),

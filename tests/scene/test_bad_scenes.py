@@ -1,14 +1,14 @@
 """Whatever a scene or an override says: a scene comes of it, or one line that tells what is wrong.
 
-The same cases every time; CAPTURE_SIM_EXAMPLES=20000 tries more.
+The same cases every time; CAPTURE_SIM_CASES=20000 tries more.
 """
 
 import dataclasses
-import os
 import re
 
 import numpy as np
 import pytest
+from cases import cases
 from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +18,7 @@ from capture_sim.scene.loading import load_scene_text
 from capture_sim.scene.quantities import ANY, declared, shown
 
 pytestmark = pytest.mark.filterwarnings("error")  # of NumPy: a number has overflowed
-EXAMPLES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "120"))
+EXAMPLES = cases(few=120, all=120)
 some = settings(
     max_examples=EXAMPLES,
     derandomize=True,

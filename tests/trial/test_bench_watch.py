@@ -1,11 +1,11 @@
 """A launch watched by noisy poses: it is aborted for what is wrong, never for noise."""
 
 import math
-import os
 import re
 
 import numpy as np
 import pytest
+from cases import cases
 
 from capture_sim import load_scene
 from capture_sim.launcher.state_machine import Launcher, LauncherPhase
@@ -98,7 +98,7 @@ def flow(phases):
     ids=str,
 )
 def test_noise_aborts_no_launch(disturbance):
-    for seed in range(int(os.environ.get("CAPTURE_SIM_EXAMPLES", "3"))):
+    for seed in range(cases(few=3, all=3)):
         phases, launcher = launch(seed=seed, **disturbance)
         assert flow(phases) == GOOD, (seed, launcher.status.reason)
         assert launcher.status.measured_speed == pytest.approx(0.1, abs=0.03)

@@ -1,14 +1,14 @@
 """Trials on disturbed sensors: detector and trial are fed with one stream, on a simulated clock.
 
-`CAPTURE_SIM_EXAMPLES=100` repeats the study of docs/node_suite.md.
+`CAPTURE_SIM_CASES=100` repeats the study of docs/node_suite.md.
 """
 
 import itertools
 import math
-import os
 
 import numpy as np
 import pytest
+from cases import cases
 from disturbed_streams import CONTACT, SENSORS, stream
 
 from capture_sim import load_scene
@@ -19,7 +19,7 @@ from capture_sim.trial.interlocks import Interlocks, TrialLimits
 from capture_sim.trial.trial import Trial, TrialGoal, TrialPhase
 
 SCENE = load_scene("tilt_0")
-SEEDS = range(int(os.environ.get("CAPTURE_SIM_EXAMPLES", "2")))
+SEEDS = range(cases(few=2, all=2))
 TOPICS = {source: (source.value,) for source in Source}
 
 
