@@ -56,10 +56,15 @@ class Topic:
     type_name: str  # message type as ``package/msg/Name``
     publishers: tuple[str, ...]  # nodes that send it
     rate: Rate
-    depth: int = 1000  # messages that a transient-local topic keeps
+    depth: int = 1000  # messages that a topic with KEEP_LAST keeps
     transient_local: bool = False  # late subscribers get the last ``depth`` messages
     stamp: Stamp = Stamp.HEADER
     sequenced: bool = False  # a ``uint64 seq`` follows the header and counts from 0 without gaps
+
+    @property
+    def keeps_last(self) -> bool:
+        """True for KEEP_LAST of ``depth`` messages, False for KEEP_ALL until they are read."""
+        return self.transient_local or self.rate is Rate.CONTROL
 
     @property
     def holds_state(self) -> bool:

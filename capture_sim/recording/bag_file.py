@@ -134,7 +134,7 @@ class BagFile:
 def qos_profile(topic: Topic) -> dict[str, object]:
     """Return a topic's quality of service as rosbag2 writes it."""
     return {
-        "history": "keep_last" if topic.transient_local else "keep_all",
+        "history": "keep_last" if topic.keeps_last else "keep_all",
         "depth": topic.depth,
         "reliability": "reliable",
         "durability": "transient_local" if topic.transient_local else "volatile",

@@ -19,7 +19,7 @@ from rclpy.qos import (
 from rclpy.serialization import deserialize_message
 
 from capture_sim.errors import MessageError
-from capture_sim.messages.topics import CLOCK, Rate, Topic
+from capture_sim.messages.topics import CLOCK, Topic
 
 #: A node that is there is discovered, and its subscriptions are, within this long, s (wall), as a
 #: rule: on a busy machine it can be seconds.
@@ -38,13 +38,13 @@ def message_class(type_name: str) -> Any:
 
 
 def qos_of(topic: Topic, *, transient_local: bool | None = None) -> QoSProfile:
-    """Return the quality of service of a topic: reliable; a stream keeps all until it is read.
+    """Return the quality of service of a topic as ROS has it, from the table of topics.
 
-    ``transient_local``: whether a subscriber wants what such a topic keeps; as the topic unless
-    given.
+    ``transient_local``: False for a subscriber of a transient-local topic that wants only new
+    messages, and all of these; as the topic unless given.
     """
     transient_local = topic.transient_local if transient_local is None else transient_local
-    keeps_last = (topic.transient_local and transient_local) or topic.rate is Rate.CONTROL
+    keeps_last = topic.keeps_last and transient_local == topic.transient_local
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST if keeps_last else HistoryPolicy.KEEP_ALL,
         depth=topic.depth,
