@@ -167,20 +167,35 @@ def scenes_page() -> str:
 
 
 FIELD = re.compile(r"^(?P<type>[\w/\[\]]+) (?P<name>\w+)(?: +[^#=]+?)? *(?:# ?(?P<comment>.*))?$")
+CONSTANT = re.compile(
+    r"^(?P<type>\w+) (?P<name>[A-Z][A-Z0-9_]*) *= *(?P<value>\w+) *(?:# ?(?P<comment>.*))?$"
+)
+CONTINUED = re.compile(r"^ {8,}# ?(?P<comment>.*)$")  # of the comment of the line before
+
+
+def message_rows(text: str) -> list[list[str]]:
+    """Return name, type and content of each constant and each field of a message, in its order."""
+    rows: list[list[str]] = []
+    for line in text.splitlines():
+        found = CONSTANT.match(line) or FIELD.match(line)
+        if found:
+            value = found.groupdict().get("value")
+            name = found["name"] if value is None else f"{found['name']} = {value}"
+            rows.append([name, found["type"], found["comment"] or ""])
+        elif rows and (more := CONTINUED.match(line)):
+            rows[-1][2] += f" {more['comment']}"
+    return rows
 
 
 def message_fields() -> str:
-    """Return a table of the fields of each message, from ``msg`` and ``action``."""
+    """Return a table of the constants and fields of each message in ``msg``."""
     lines = ["| message | field | type | content |", "|---|---|---|---|"]
     for path in sorted((ROOT / "msg").glob("*.msg")):
-        name = f"`{path.stem}`"
-        for line in path.read_text(encoding="utf-8").splitlines():
-            found = FIELD.match(line)
-            if found is None:
-                continue
-            comment = (found["comment"] or "").replace("|", r"\|")
-            lines.append(f"| {name} | `{found['name']}` | {found['type']} | {comment} |")
-            name = ""
+        message = f"`{path.stem}`"
+        for name, kind, comment in message_rows(path.read_text(encoding="utf-8")):
+            content = comment.replace("|", r"\|")
+            lines.append(f"| {message} | `{name}` | {kind} | {content} |")
+            message = ""
     return "\n".join(lines)
 
 
