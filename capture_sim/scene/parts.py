@@ -481,7 +481,7 @@ class Detector(Checked):
         "s",
         Range(0.0, 10.0),
         default=0.25,
-        doc="longest wait for later measurements, whose mean is evaluated; unused without noise",
+        doc="longest wait for later measurements, for the fit of a parabola; unused without noise",
     )
     max_data_gap: float = quantity(
         "s", POSITIVE, default=0.1, doc="gap in the measurements that interrupts a dwell"
