@@ -295,6 +295,16 @@ def dispersions(
     return vary, correlations
 
 
+def add_resume(parser: argparse.ArgumentParser, study: str) -> None:
+    """Add the option that continues a study that was killed."""
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help=f"continue an interrupted or killed {study} with the same arguments; its runs are "
+        "kept as they are done",
+    )
+
+
 def add_workers(parser: argparse.ArgumentParser, *, scheduler: bool = True) -> None:
     """Add the processes or the cluster for the runs of a study."""
     parser.add_argument(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -12,12 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from capture_sim.base.exit_status import FAILED as FAILED_STATUS
 from capture_sim.base.exit_status import INTERRUPTED, OK
 from capture_sim.base.interrupts import terminated_as_interrupted
+from capture_sim.base.journal import Journal
+from capture_sim.base.software import software_versions
 from capture_sim.base.tables import print_table
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_limits,
+    add_resume,
     add_scene,
     add_seed,
     add_under,
@@ -41,6 +46,7 @@ from capture_sim.studies.dispersion import (
     Probability,
     Quantile,
     capture_probability,
+    complete_samples,
     computed_rows,
     hold_probability,
     limit_probability,
@@ -62,7 +68,7 @@ from capture_sim.studies.sweep import (
     RTOL,
     Recipe,
     at_tolerance,
-    ignored_text,
+    notes_text,
     run_samples,
     samples_of,
 )
@@ -107,7 +113,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         dest="cases",
         metavar="TABLE",
-        help="run the rows of a .csv or .parquet table; columns that are no fields are ignored",
+        help="run the rows of a .csv or .parquet table; columns that are no fields stay as notes",
     )
     parser.add_argument(
         "--runs",
@@ -145,6 +151,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"list the runs with the largest LOAD (default: {MAIN_LOADS[0]})",
     )
     add_workers(parser)
+    add_resume(parser, "sweep")
     parser.add_argument(
         "--out",
         type=Path,
@@ -161,11 +168,39 @@ def run(options: argparse.Namespace) -> int:
     scene = at_tolerance(load(options.scene, options.overrides), options.overrides, RTOL)
     samples = _samples(scene, options)
     limits = read_limits(options.limits)
-    if samples.ignored:
-        warn(ignored_text(scene, samples.ignored))
+    if samples.notes:
+        warn(notes_text(scene, list(samples.notes)))
     prepare_folder(options.out.parent)
     if scene.sensors is not None and scene.sensors.motion_capture is not None:
         warn("verdicts are of the exact motion: sensors.motion_capture is not simulated")
+    with _journal(scene, samples, options) as journal:
+        return _sweep(scene, samples, limits, options, journal)
+
+
+def _journal(scene: Scene, samples: Samples, options: argparse.Namespace) -> Journal:
+    """Return the journal of the rows that are done, with those of an interrupted sweep."""
+    names = [axis.name for axis in samples.axes]
+    rows = hashlib.sha256(repr([names, samples.rows, samples.designs]).encode()).hexdigest()
+    head = {"study": "sweep", "software": list(software_versions()), "scene": scene.to_yaml()}
+    head |= {"vary": rows, "limits": sorted(options.limits), "check": options.check}
+    path = options.out.with_name(f"{options.out.name}.journal")
+    journal = Journal(path, head, resume=options.resume)
+    if journal.replaced is not None:
+        warn(f"the unfinished sweep of before is now {journal.replaced}; --resume continues one")
+    if options.resume:
+        done = sum(len(rows) for _, rows in journal.entries)
+        echo(f"{done} of {len(samples.rows)} runs were done before")
+    return journal
+
+
+def _sweep(
+    scene: Scene,
+    samples: Samples,
+    limits: Sequence[Limit],
+    options: argparse.Namespace,
+    journal: Journal,
+) -> int:
+    """Run the samples, write and report their table; return the exit status."""
     compile_first()
     with (
         terminated_as_interrupted(),
@@ -179,6 +214,7 @@ def run(options: argparse.Namespace) -> int:
             check=options.check,
             executor=executor,
             report=partial(progress.at, "sweep"),
+            journal=journal,
         )
         ranges: dict[tuple[Any, ...], CaptureRange] = {}
         if options.cases is None:
@@ -199,7 +235,10 @@ def run(options: argparse.Namespace) -> int:
     _report(scene, samples, table, indices, limits, options)
     _print_ranges(samples, ranges, limits)
     if len(table) < len(samples.rows):
-        warn(f"interrupted: {len(table)} of {len(samples.rows)} runs written to {options.out}")
+        warn(
+            f"interrupted: {len(table)} of {len(samples.rows)} runs written to {options.out}; "
+            "--resume continues"
+        )
         return INTERRUPTED
     with drawing():
         from capture_sim.viewing.canvas import save
@@ -210,6 +249,10 @@ def run(options: argparse.Namespace) -> int:
         ).items():
             path = options.out.with_name(f"{options.out.stem}_{name}.png")
             echo(f"plot in {save(figure, path)}")
+    journal.remove()  # last: until then, --resume makes all of this again
+    if computed_rows(table).empty:
+        warn("no run could be computed")
+        return FAILED_STATUS
     return OK
 
 
@@ -245,7 +288,10 @@ def _commands(scene: Scene, samples: Samples, options: argparse.Namespace) -> li
     if "run.rtol" not in given:
         always.append(f"run.rtol={scene.run.rtol!r}")
     commands = []
-    for row in samples.rows:
+    for number, row in enumerate(samples.rows):
+        if number in samples.failures:
+            commands.append("")
+            continue
         words = ["capture-sim", "run", options.scene]
         for change in (*always, *recipe.overrides_of(row)):
             words += ["--set", change]
@@ -272,13 +318,20 @@ def _report(
     limits: Sequence[Limit],
     options: argparse.Namespace,
 ) -> None:
+    if indices:
+        size = len(indices[0].first) + 2
+        whole = complete_samples(table, [axis.name for axis in samples.axes if axis.distribution])
+        echo(f"statistics: of {len(whole) // size} complete of {len(table) // size} base samples")
+        _print_failures(table)
+        table = whole
     labels = outcome_labels(table).value_counts()
     echo(f"verdicts: {', '.join(f'{count} {name}' for name, count in labels.items())}")
     _print_failures(table)
     strokes = computed_rows(table)["max_axial_stroke_in"].dropna()
     if text := implausible_stroke(scene, float(strokes.max()) if strokes.size else None):
         n_long = int((strokes > plausible_stroke(scene)).sum())
-        warn(f"{n_long} runs have too long a stroke; the longest: {text}")
+        runs_have = "1 run has" if n_long == 1 else f"{n_long} runs have"
+        warn(f"{runs_have} too long a stroke; the longest: {text}")
     drawn = sorted(axis.name for axis in samples.axes if axis.distribution)
     is_grid = not drawn and options.cases is None
     if not is_grid:

@@ -170,6 +170,18 @@ class Indices(NamedTuple):
     used: int  # base samples whose runs could all be computed
 
 
+def complete_samples(table: pandas.DataFrame, inputs: Sequence[str]) -> pandas.DataFrame:
+    """Return the runs of Saltelli's design of which the whole base sample was computed.
+
+    A base sample is one run and, for each input, one that shares all others with it, and one more:
+    ``len(inputs) + 2`` rows.  An estimate from others would not be one of the design.
+    """
+    size = len(inputs) + 2
+    whole = table[: len(table) - len(table) % size]
+    computed = (whole["verdict"] != FAILED).to_numpy().reshape(-1, size).all(axis=1)
+    return whole[np.repeat(computed, size)]
+
+
 def sobol_indices(
     table: pandas.DataFrame, inputs: Sequence[str], load: str, seed: int = 1
 ) -> Indices | None:
@@ -179,8 +191,8 @@ def sobol_indices(
     """
     from SALib.analyze import sobol
 
-    values = table[load].to_numpy(float)
-    blocks = values[: len(values) - len(values) % (len(inputs) + 2)].reshape(-1, len(inputs) + 2)
+    values = complete_samples(table, inputs)[load].to_numpy(float)
+    blocks = values.reshape(-1, len(inputs) + 2)
     whole = blocks[np.isfinite(blocks).all(axis=1)]
     if len(whole) < 2 or np.ptp(whole) == 0.0:
         return None

@@ -11,7 +11,7 @@ import itertools
 import math
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,9 @@ class Samples:
     axes: tuple[Axis, ...]
     rows: list[tuple[Any, ...]]  # values of each run, in the order of the axes, SI units
     designs: list[str]  # of each run: plain, or edges for a draw that favours the edges
-    ignored: tuple[str, ...] = ()  # columns of the user's table that are no fields
+    # of the user's table: columns that are no fields; why rows cannot be run, by number
+    notes: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    failures: Mapping[int, str] = field(default_factory=dict)
 
 
 #: Correlations of pairs of distributions, by their names.

@@ -10,6 +10,7 @@ import dataclasses
 import functools
 import math
 import threading
+import time
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from capture_sim.base.journal import Journal
 from capture_sim.dynamics.memory import Memory
 from capture_sim.dynamics.samples import EXTREMES, SAMPLE, TOUCH, Extremes
 from capture_sim.errors import MissingPackageError, SceneError, install_hint
@@ -28,7 +30,7 @@ from capture_sim.scene.approach import APPROACH, Approach, approach_of, placed, 
 from capture_sim.scene.files import Overrides
 from capture_sim.scene.loading import change_scene, load_scene
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.axes import make_axis
+from capture_sim.studies.axes import Axis, declaration_of, make_axis
 from capture_sim.studies.executors import answers, open_executor
 from capture_sim.studies.limits import Limit, exceeded, make_limits
 from capture_sim.studies.outcome import Outcome, StudyRun
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
 FAILED = "failed"
 #: Runs that a worker does in one go.
 _CHUNK = 20
+#: Longest time for which a worker keeps finished rows to itself, s, where a journal wants them.
+_MOMENT = 2.0
 #: Relative tolerance of the runs of a sweep; see docs/random_scenes.md.
 RTOL = 1e-6
 
@@ -114,7 +118,8 @@ def sweep(
         input is given by
         values, a text (``"5:30:26"``, ``"normal(500, 5%)"``, ``"-5 deg:5 deg:11"``) or a frozen
         distribution of scipy.stats.  Instead, a table with one run a row and one field a column;
-        other columns are ignored, with a warning.
+        other columns are notes, which the result keeps, with a warning.  A row
+        with an invalid value is a failed run with its reason.
     overrides
         Changed values as for :func:`capture_sim.load_scene`.
     runs
@@ -168,8 +173,8 @@ def sweep(
         scene = change_scene(scene, overrides)
     scene = at_tolerance(scene, overrides, rtol)
     samples = samples_of(scene, vary, runs, sample, seed, edges, correlations)
-    if samples.ignored:
-        warnings.warn(ignored_text(scene, samples.ignored), stacklevel=2)
+    if samples.notes:
+        warnings.warn(notes_text(scene, list(samples.notes)), stacklevel=2)
     table = run_samples(
         scene,
         samples,
@@ -194,9 +199,9 @@ def at_tolerance(scene: Scene, overrides: Overrides, rtol: float = RTOL) -> Scen
     return changed
 
 
-def ignored_text(scene: Scene, names: Sequence[str]) -> str:
+def notes_text(scene: Scene, names: Sequence[str]) -> str:
     """Return the warning on columns of a table that are no fields of a scene."""
-    return f"ignored columns: {', '.join(names)}: no fields of {scene.name}"
+    return f"columns that are no fields of {scene.name}, kept as notes: {', '.join(names)}"
 
 
 def samples_of(
@@ -240,13 +245,40 @@ def _samples_of_table(scene: Scene, table: pandas.DataFrame) -> Samples:
             ignored.append(name)
     if not columns or table.empty:
         raise SceneError("table: must have one row and one column of a field or more")
+    axes, failures = [], dict[int, str]()
     for name in columns:
-        blank = table[name].isna() | (table[name] == "")
-        if blank.any():
-            raise SceneError(f"column {name}: run {int(blank.argmax())} has no value")
-    axes = tuple(make_axis(scene, name, table[name].tolist()) for name in columns)
+        axis, invalid = _column(scene, name, table[name].tolist())
+        axes.append(axis)
+        failures |= {row: text for row, text in invalid.items() if row not in failures}
+    if len(failures) == len(table):
+        raise SceneError(next(iter(failures.values())))
     rows = list(zip(*(axis.values for axis in axes), strict=True))
-    return Samples(axes, rows, [PLAIN] * len(rows), tuple(ignored))
+    notes = {name: table[name].tolist() for name in ignored}
+    return Samples(tuple(axes), rows, [PLAIN] * len(rows), notes, failures)
+
+
+def _column(scene: Scene, name: str, cells: Sequence[Any]) -> tuple[Axis, dict[int, str]]:
+    """Return the axis of a table's column, NaN in place of an invalid value; why, by the row."""
+    try:
+        if not any(map(_is_blank, cells)):
+            return make_axis(scene, name, cells), {}
+    except SceneError:
+        declaration_of(scene, name)  # if this is the error, it is that of the column
+    values: list[Any] = []
+    invalid: dict[int, str] = {}
+    for row, cell in enumerate(cells):
+        try:
+            if _is_blank(cell):
+                raise SceneError(f"{name}: has no value")
+            values += make_axis(scene, name, [cell]).values
+        except SceneError as error:
+            values.append(math.nan)
+            invalid[row] = f"row {row}: {error}"
+    return Axis(name, declaration_of(scene, name).unit, tuple(values)), invalid
+
+
+def _is_blank(cell: Any) -> bool:
+    return cell is None or cell == "" or cell != cell
 
 
 def _refuse_misspelt(scene: Scene, name: str, inputs: Collection[str]) -> None:
@@ -266,40 +298,85 @@ def run_samples(
     check: bool = False,
     executor: Executor | None = None,
     report: Callable[[int, int], None] | None = None,
+    journal: Journal | None = None,
 ) -> pandas.DataFrame:
-    """Run samples; return their table, or after Ctrl-C the rows that are done."""
+    """Run samples; return their table, or after Ctrl-C the rows that are done.
+
+    A journal keeps the rows as they are done, and its earlier rows are not run again.
+    """
     try:
         import pandas
     except ImportError:
         raise MissingPackageError(f"sweep() needs pandas: {install_hint('study')}") from None
     names = tuple(axis.name for axis in samples.axes)
-    rows, count = samples.rows, len(samples.rows)
-    chunks = [rows[start : start + _CHUNK] for start in range(0, count, _CHUNK)]
-    work = functools.partial(run_rows, Recipe(scene, names), check, tuple(limits))
-    done: list[tuple[Any, ...]] = []
+    rows, count, invalid = samples.rows, len(samples.rows), samples.failures
+    recipe = Recipe(scene, names)
+    done = {k: _failed_row(text, check=check, limits=limits) for k, text in invalid.items()}
+    for first, earlier in journal.entries if journal is not None else ():
+        done |= {first + k: tuple(row) for k, row in enumerate(earlier)}
+    size = _CHUNK if journal is None else _rows_of_a_moment(recipe, rows, done)
+    chunks = list(_chunks([k for k in range(count) if k not in done], size))
+    work = functools.partial(run_rows, recipe, check, tuple(limits))
     try:
         with (
             nullcontext(executor) if executor else open_executor(None if count > 1 else 1) as ready
         ):
-            for results in answers(ready, work, chunks):
-                done += results
+            tasks = [[rows[k] for k in chunk] for chunk in chunks]
+            for chunk, results in zip(chunks, answers(ready, work, tasks), strict=True):
+                done |= zip(chunk, results, strict=True)
+                if journal is not None:
+                    journal.add([chunk.start, results])
                 if report is not None:
                     report(len(done), count)
     except KeyboardInterrupt:
         pass  # the rows that are done are kept; the caller sees that some are missing
-    finished = len(done)
+    finished = next((k for k in range(count) if k not in done), count)
     inputs = dict(zip(names, zip(*rows[:finished], strict=True), strict=True)) if finished else {}
     table = pandas.DataFrame(inputs)
     if len(set(samples.designs)) > 1:
         table["design"] = samples.designs[:finished]
+    for name, cells in samples.notes.items():
+        table[name] = cells[:finished]
     results = pandas.DataFrame(
-        done, columns=list(result_columns(check=check, limited=bool(limits)))
+        [done[k] for k in range(finished)],
+        columns=list(result_columns(check=check, limited=bool(limits))),
     )
     table = pandas.concat([table, results], axis=1)
     table.index.name = "run"
     units = {**{axis.name: axis.unit for axis in samples.axes}, **result_units()}
-    table.attrs["units"] = {name: units[name] for name in table.columns}
+    table.attrs["units"] = {name: units.get(name, "") for name in table.columns}
     return table
+
+
+def _chunks(rows: Sequence[int], size: int) -> Iterator[range]:
+    """Yield pieces of some ascending numbers of rows, each without a gap."""
+    first = last = -1
+    for row in rows:
+        if row != last or last - first == size:
+            if last > first:
+                yield range(first, last)
+            first = row
+        last = row + 1
+    if last > first:
+        yield range(first, last)
+
+
+def _rows_of_a_moment(
+    recipe: Recipe, rows: Sequence[tuple[Any, ...]], done: Collection[int]
+) -> int:
+    """Return how many rows a worker does in one go so that a kill loses only seconds."""
+    waiting = next((row for k, row in enumerate(rows) if k not in done), None)
+    if waiting is None:
+        return _CHUNK
+    began = time.perf_counter()
+    run_rows(recipe, False, (), [waiting])
+    return min(max(int(_MOMENT / (time.perf_counter() - began)), 1), _CHUNK)
+
+
+def _failed_row(text: str, *, check: bool, limits: Sequence[Limit]) -> tuple[Any, ...]:
+    results = _results(SceneError(text), limits)
+    columns = result_columns(check=check, limited=bool(limits))
+    return tuple(results.get(name, math.nan) for name in columns)
 
 
 @dataclasses.dataclass(frozen=True)

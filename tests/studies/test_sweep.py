@@ -20,6 +20,7 @@ from scipy import stats
 
 import capture_sim
 from capture_sim import SceneError, load_scene, simulate
+from capture_sim.base.journal import Journal
 from capture_sim.cli import main
 from capture_sim.dynamics.samples import EXTREMES, TOUCH, Extremes
 from capture_sim.errors import RecordingError
@@ -31,6 +32,7 @@ from capture_sim.studies import sweep as module
 from capture_sim.studies.axes import make_axis
 from capture_sim.studies.dispersion import (
     capture_probability,
+    complete_samples,
     limit_probability,
     margin_at,
     quantiles,
@@ -455,7 +457,7 @@ BAD = [
     ({}, "one axis or more"),
     (pd.DataFrame({"k_A": [1], "buffer.c_A": [1]}), r"column k_A: .*did you mean buffer.k_A\?"),
     (pd.DataFrame({"buffer.c_A": []}), "one row"),
-    (pd.DataFrame({"buffer.c_A": [5.0, None]}), "column buffer.c_A: run 1 has no value"),
+    (pd.DataFrame({"buffer.c_A": [None, None]}), "row 0: buffer.c_A: has no value"),
 ]
 
 
@@ -607,13 +609,15 @@ def test_own_cases_are_run_with_their_units(tmp_path, capsys):
     cases, out = tmp_path / "cases.csv", tmp_path / "out.csv"
     cases.write_text("friction.mu [1],buffer.c_A [N s/m],remark\n0.1,10,a\n0.2,12,b\n-1,12,c\n")
     options = ["--set", "run.t_end=0.5", "--workers=1", f"--out={out}"]
-    assert main(["sweep", "tilt_0", f"--from={cases}", *options]) == 2
-    assert "friction.mu = -1.0: must be >= 0" in capsys.readouterr().err
+    assert main(["sweep", "tilt_0", f"--from={cases}", *options]) == 0
+    assert "could not be computed, e.g. run 2: row 2: friction.mu = -1.0: must be >= 0" in (
+        capsys.readouterr().out
+    )
     cases.write_text(cases.read_text().replace("-1,", "0.25,"))
     assert main(["sweep", "tilt_0", f"--from={cases}", *options]) == 0
     shown = capsys.readouterr()
     assert shown.err.count("\n") == 1
-    assert "remark" in shown.err  # no field of the scene: named once, and ignored
+    assert "remark" in shown.err  # no field of the scene: named once, and kept
     assert "95 % interval" in shown.out
     assert pd.read_csv(out)["friction.mu [1]"].tolist() == [0.1, 0.2, 0.25]
     cases.write_text("initial.target.theta [deg], buffer.k_A\n5, 0.5 N/mm\n-5, 600\n")
@@ -769,3 +773,69 @@ def test_a_stroke_without_room_names_what_to_set(tmp_path, capsys):
     slow = ["tilt_0", "--set=run.t_end=3"]
     assert main(["sweep", *slow, *vary]) == 0
     assert capsys.readouterr().err == ""
+
+
+def test_one_bad_row_of_a_table_is_a_failed_run_with_its_reason_and_notes_stay():
+    cases = pd.DataFrame({"buffer.c_A": [5.0, -1.0, None, "4 kg"], "note": ["a", "b", "c", "d"]})
+    with pytest.warns(UserWarning, match="kept as notes: note"):
+        table = capture_sim.sweep("tilt_0", cases, executor=HERE)
+    assert table["verdict"].tolist() == ["captured", *["failed"] * 3]
+    assert table["note"].tolist() == ["a", "b", "c", "d"]
+    reasons = table["failure"].tolist()
+    assert reasons[1].startswith("row 1: buffer.c_A = -1.0 N s/m: must be >= 0")
+    assert reasons[2] == "row 2: buffer.c_A: has no value"
+    assert reasons[3].startswith("row 3: buffer.c_A = '4 kg'")
+
+
+@pytest.mark.parametrize("kept", [0, 1, 4])
+def test_a_killed_sweep_continues_to_the_same_table(kept, tmp_path, capsys):
+    """Killed after some pieces: the journal ends there, the last one torn."""
+    arguments = ["sweep", "tilt_0", "--vary=buffer.c_A=uniform(5,30)", "--runs=90", "--workers=1"]
+    arguments += ["--set=run.t_end=1", f"--out={tmp_path / 'a.csv'}"]
+    journal = tmp_path / "a.csv.journal"
+    kept_journal = []
+    real = Journal.remove
+
+    def keep(self):
+        kept_journal.append(self.path.read_bytes())
+        real(self)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Journal, "remove", keep)
+        assert main(arguments) == 0
+    assert not journal.exists()
+    undisturbed = (tmp_path / "a.csv").read_bytes()
+    lines = kept_journal[0].splitlines(keepends=True)
+    assert len(lines) > 5
+    journal.write_bytes(b"".join(lines[: 1 + kept]) + lines[1 + kept][:30])
+    (tmp_path / "a.csv").unlink()
+    capsys.readouterr()
+    assert main([*arguments, "--resume"]) == 0
+    done = sum(len(rows) for _, rows in map(json.loads, lines[1 : 1 + kept]))
+    assert f"{done} of 90 runs were done before" in capsys.readouterr().out
+    assert (tmp_path / "a.csv").read_bytes() == undisturbed
+    assert main([*arguments, "--resume"]) == 2  # complete
+    journal.write_bytes(b"".join(lines))
+    assert main([*arguments, "--seed=2", "--resume"]) == 2
+    assert "is of another study: vary must be the same" in capsys.readouterr().err
+
+
+def test_a_sweep_without_one_good_run_fails(tmp_path):
+    arguments = ["sweep", "tilt_0", "--vary=initial.target.x=-1e3,-1e4"]
+    assert main([*arguments, "--workers=1", f"--out={tmp_path / 'a.csv'}"]) == 1
+
+
+def test_indices_leave_out_base_samples_with_a_failed_run():
+    """Three inputs by a known function; the failed runs have loads up to their failure."""
+    inputs = ["buffer.c_A", "buffer.k_A", "buffer.k_T"]
+    vary = dict.fromkeys(inputs, "uniform(1, 2)")
+    samples = samples_of(load_scene("tilt_0"), vary, 64, "saltelli")
+    x = np.array(samples.rows)
+    table = pd.DataFrame({"verdict": "captured", "max_torsion": x @ [1.0, 2.0, 3.0]})
+    whole = sobol_indices(table, inputs, "max_torsion")
+    spoilt = table.copy()
+    spoilt.loc[7, ["verdict", "max_torsion"]] = "failed", 1e3
+    found = sobol_indices(spoilt, inputs, "max_torsion")
+    assert (whole.used, found.used) == (64, 63)
+    assert len(complete_samples(spoilt, inputs)) == 63 * 5
+    assert found.total == pytest.approx(whole.total, abs=0.1)
