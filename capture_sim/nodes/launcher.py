@@ -9,7 +9,7 @@ from rclpy.parameter import Parameter
 
 from capture_sim.base.files import why_no_folder
 from capture_sim.launcher.state_machine import LaunchSettings
-from capture_sim.messages.topics import LAUNCHER
+from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, RECORDER
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.base.parameters import ParameterError, declare_scene
 from capture_sim.nodes.base.process import run
@@ -55,6 +55,19 @@ class LauncherNode(BenchNode):
             "let a chaser go only once the goal's client has asked for the result, which shows "
             "that it knows of the accepted goal and can cancel it",
         )
+        required = [
+            role
+            for role, name, what in (
+                (RECORDER, "require_recorder", "records"),
+                (CAPTURE_DETECTOR, "require_detector", "evaluates"),
+            )
+            if self.declare(
+                name,
+                True,
+                f"let a chaser go only if a {role} takes part; false: also a trial that none "
+                f"{what}",
+            )
+        ]
         driver = self.declare(
             "driver",
             "",
@@ -71,7 +84,13 @@ class LauncherNode(BenchNode):
             self._part = SimulatedLaunch(self, self._launch, auto_release=auto_release)
         else:
             settings = TrialSettings(
-                actuator == "output", limits, needs_client, driver, scene, scenes
+                actuator == "output",
+                limits,
+                needs_client,
+                driver,
+                tuple(required),
+                scene,
+                scenes,
             )
             self._part = TrialServer(self, settings, self._launch)
         self.add_post_set_parameters_callback(self._parameters_set)

@@ -103,6 +103,8 @@ class RecorderNode(BenchNode, RunPart):
                 remaps=self._remaps,
             )
         except RecordingError as error:
+            if run.info.source == RunSource.TRIAL:  # the launcher then knows before the release
+                raise
             self._fail_recording(error)
             return
         self._recorder = recorder
@@ -211,7 +213,7 @@ class RecorderNode(BenchNode, RunPart):
             self._first_after_end = self._first_after_end or now
             if now > self._first_after_end + TRANSIT_TIME:
                 return
-        self._follower.note_message()
+        self._follower.note_message(topic)
         self._write(topic, data)
 
     def _remapped(self) -> dict[Topic, str]:

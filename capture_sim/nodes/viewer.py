@@ -154,7 +154,7 @@ class ViewerNode(BenchNode, RunPart):
         return True
 
     def _receive_state(self, data: bytes) -> None:
-        self._follower.note_message()
+        self._follower.note_message(BENCH_STATE)
         if not self._is_shown(BENCH_STATE, data):
             return
         message = from_bytes(BENCH_STATE, data)
@@ -164,7 +164,7 @@ class ViewerNode(BenchNode, RunPart):
         self._view.take(sample)
 
     def _receive_measurement(self, topic: Topic, data: bytes) -> None:
-        self._follower.note_message()
+        self._follower.note_message(topic)
         if not self._is_shown(topic, data):
             return
         what: Any = OF_A_BENCH.get(topic, topic)

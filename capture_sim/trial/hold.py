@@ -1,4 +1,4 @@
-"""The output launcher/hold: its period, its readers, and the meaning of its silence.
+"""The output launcher/hold: its period, its readers, its one publisher, and its silence.
 
 A driver holds its chaser when the last message is older than :data:`HOLD_TIMEOUT`.  The thread that
 decides also sends: a stalled launcher sends nothing, so it cannot let go.
@@ -7,12 +7,18 @@ decides also sends: a stalled launcher sends nothing, so it cannot let go.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 #: Sent at least this often, s (wall).
 HOLD_PERIOD = 0.1
 #: A driver holds after this long without a message, s.
 HOLD_TIMEOUT = 0.5
+#: A publisher is discovered before its node's name is; it gets this long to be named, s.
+NAMING_TIME = 0.3
+#: A launcher that has just started may not have discovered another one yet: it lets nothing go
+#: for this long, s.
+MEETING_TIME = 1.0
 #: Starts of the names of nodes that read topics and are no driver: `ros2 topic` and `ros2 bag`.
 ONLOOKERS = ("_ros2cli", "rosbag2_recorder")
 
@@ -79,3 +85,71 @@ class HoldReaders:
         if self._driver:
             return self._driver in (name, node)
         return not name.startswith(ONLOOKERS)
+
+
+class HoldPublishers:
+    """Follows which nodes publish launcher/hold: of two, one lets go what the other one brakes.
+
+    ``own``: full name of the launcher that asks, which publishes it once; ``began``: s, when it
+    started.  ``is_disputed``: another one was there, or was heard, since :meth:`begin`.
+    """
+
+    def __init__(self, own: str, began: float) -> None:
+        self._own, self._began = own, began
+        self._others: tuple[str, ...] = ()  # full names, a second node of the launcher's name too
+        self._nameless_since = self._heard_since = math.inf  # s
+        self._lets_go = self._has_heard_own = False
+        self.is_disputed = False
+
+    def begin(self) -> None:
+        """Forget what was heard before a release: there is one publisher now."""
+        self._heard_since = math.inf
+        self._lets_go = self._has_heard_own = self.is_disputed = False
+
+    def hear(self, is_held: bool, lets_go: bool, now: float) -> None:
+        """Note a message of launcher/hold, the launcher's own or another node's.
+
+        ``lets_go``: the launcher has sent false last.  Once that has come back, a true is not its
+        own.
+        """
+        if lets_go and self._lets_go and is_held and self._has_heard_own:
+            self._heard_since = min(self._heard_since, now)
+            self.is_disputed = True
+        self._has_heard_own = lets_go and (not is_held or (self._lets_go and self._has_heard_own))
+        self._lets_go = lets_go
+
+    @property
+    def has_nameless(self) -> bool:
+        """True while a publisher is there whose node is not known yet."""
+        return min(self._nameless_since, self._heard_since) < math.inf and not self._others
+
+    def note(self, nodes: Sequence[str], n_nameless: int, now: float) -> None:
+        """Note the full name of the node of each publisher at ``now``, s.
+
+        ``n_nameless``: publishers whose node is not known.
+        """
+        self._others = tuple(sorted((Counter(nodes) - Counter([self._own])).elements()))
+        self._nameless_since = min(self._nameless_since, now) if n_nameless else math.inf
+        self.is_disputed = self.is_disputed or bool(self._others) or n_nameless > 0
+
+    def conflict(self, now: float) -> str:
+        """Return that another node publishes it, by name; empty if none does."""
+        others = " and ".join(self._others)
+        if not others and now > min(self._nameless_since, self._heard_since) + NAMING_TIME:
+            others = "a node without a name"
+        if not others:
+            return ""
+        return (
+            f"launcher/hold: published by {self._own} and by {others}: must be one node: end the "
+            "other one (a killed one is forgotten after 12 s)"
+        )
+
+    def refusal(self, now: float) -> str:
+        """Return why nothing may be let go; empty if no other node can publish it."""
+        if conflict := self.conflict(now):
+            return conflict
+        if self.has_nameless:
+            return "launcher/hold: published by a node that is not known yet"
+        if now < self._began + MEETING_TIME:
+            return f"{self._own}: started less than {MEETING_TIME:g} s ago"
+        return ""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from capture_sim.detection.measurements import Source
 from capture_sim.scene.quantities import Range, quantity
-from capture_sim.trial.hold import HoldReaders
+from capture_sim.trial.hold import HoldPublishers, HoldReaders
 
 #: A stamp that is older than the one before by more is that of a clock that was set back, s.
 MAX_STEP_BACK = 0.5
@@ -117,7 +117,8 @@ class Interlocks:
     """Sees each measurement; returns why nothing may be let go, or why the approach must end.
 
     ``topics``: by source, the names of the topics that it may publish.  :meth:`choose` decides
-    which of them a trial uses; the others then do not count.  ``readers``: those of launcher/hold.
+    which of them a trial uses; the others then do not count.  ``readers`` and ``publishers``: those
+    of launcher/hold.
     """
 
     def __init__(
@@ -125,9 +126,11 @@ class Interlocks:
         limits: TrialLimits,
         topics: Mapping[Source, Sequence[str]],
         readers: HoldReaders | None = None,
+        publishers: HoldPublishers | None = None,
     ) -> None:
         self.limits = limits
         self.readers = readers or HoldReaders()
+        self.publishers = publishers or HoldPublishers("/launcher", -math.inf)
         self.monitors = {name: SourceMonitor() for names in topics.values() for name in names}
         self._topics = {source: tuple(names) for source, names in topics.items()}
         self._chosen: dict[Source, str] = {}
@@ -161,7 +164,8 @@ class Interlocks:
             if not self._age(source, now) <= limit
         ]
         conflicts = [text for source, _ in self._limited() if (text := self._conflict(source))]
-        return "; ".join(filter(None, [*stale, *conflicts, self.readers.refusal(now)]))
+        hold = [self.publishers.refusal(now), self.readers.refusal(now)]
+        return "; ".join(filter(None, [*stale, *conflicts, *hold]))
 
     def blindness(self, now: float, *, has_moved: bool) -> tuple[str, float]:
         """Return why the approach must end, empty if it goes on, and for how long it is not seen.

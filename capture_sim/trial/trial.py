@@ -8,6 +8,7 @@ steady clock; :meth:`Trial.advance` alone decides, and returns the steps that it
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -15,6 +16,7 @@ from capture_sim.detection.measurements import Source
 from capture_sim.dynamics.samples import Named
 from capture_sim.errors import CaptureSimError
 from capture_sim.launcher.state_machine import Launcher, LauncherPhase, LauncherStatus
+from capture_sim.messages.topics import CAPTURE_DETECTOR
 from capture_sim.scene.parts import Scene
 from capture_sim.trial.bench_watch import BenchWatch, Pose
 from capture_sim.trial.hold import HOLD_TIMEOUT
@@ -142,6 +144,8 @@ class Trial:
         self._phase_since = now
         self._is_announced = self._are_others_ready = self._are_others_done = False
         self._pending = ""  # which other nodes are waited for
+        self._absent = ""  # which required ones do not take part,
+        self._lost: Mapping[str, str] = {}  # ... and which have left, by role: a line each
         self._is_final = False
         self._cancelled = ""
         self._stamps = (math.inf, -math.inf)  # s, first and latest pose of the chaser
@@ -156,7 +160,8 @@ class Trial:
     def holds(self) -> bool:
         """True unless the chaser is let go by this trial."""
         is_running = TrialPhase.PREPARING < self._phase < TrialPhase.CLOSING
-        return not (self._has_actuator and is_running and not self._silence)
+        is_alone = not self._interlocks.publishers.is_disputed
+        return not (self._has_actuator and is_running and is_alone and not self._silence)
 
     @property
     def gap(self) -> float:
@@ -244,8 +249,10 @@ class Trial:
         """Note the detector's state: one of :data:`VERDICTS`, or a label before it.
 
         One of another detector or of a player has the ``stamp`` (ns) of no pose of this trial, and
-        is ignored.
+        is ignored.  So is one before the release: it is the end of an earlier trial.
         """
+        if not self.is_released:
+            return
         first, latest = self._stamps
         if (
             stamp is not None
@@ -256,10 +263,22 @@ class Trial:
             return
         self.verdict, self.verdict_reason, self._is_final = state, reason, is_final
 
-    def set_others(self, *, ready: bool, done: bool, pending: str) -> None:
-        """Note whether the other nodes have joined, and have ended the trial; else which not."""
+    def set_others(
+        self,
+        *,
+        ready: bool,
+        done: bool,
+        pending: str,
+        absent: str = "",
+        lost: Mapping[str, str] | None = None,
+    ) -> None:
+        """Note whether the other nodes have joined, and have ended the trial; else which not.
+
+        ``absent``: which required node cannot take part; ``lost``: by role, which required node
+        has left before the end.
+        """
         self._are_others_ready, self._are_others_done = ready, done
-        self._pending = pending
+        self._pending, self._absent, self._lost = pending, absent, lost or {}
 
     def note_result_request(self) -> None:
         """Note that the client has asked for the result: it knows that its goal was accepted."""
@@ -306,14 +325,20 @@ class Trial:
                 return self._prepare(now, in_phase)
             case TrialPhase.APPROACH | TrialPhase.CONTACT:
                 return self._follow(now)
-            case TrialPhase.DECIDED if in_phase >= self._limits.after_verdict:
-                return self._close(now)
+            case TrialPhase.DECIDED:
+                conflict = self._has_actuator and self._interlocks.publishers.conflict(now)
+                if conflict:
+                    self.problems.append(conflict)
+                if conflict or in_phase >= self._limits.after_verdict:
+                    return self._close(now)
             case TrialPhase.CLOSING:
                 self._await_others(now, in_phase)
         return []
 
     def _prepare(self, now: float, in_phase: float) -> list[TrialStep]:
         """Announce the trial once all is fresh; release once the other nodes have joined."""
+        if self._is_announced and self._lost:
+            return self._fail(f"not released: {'; '.join(self._lost.values())}", now)
         refusal = self._refusal(now)
         if refusal or (self._is_announced and not self._are_others_ready):
             if in_phase > self._limits.start_timeout:
@@ -325,6 +350,7 @@ class Trial:
             return [TrialStep.ANNOUNCE]
         self._enter(TrialPhase.APPROACH, now)
         self.is_released, self.released = True, now
+        self._interlocks.publishers.begin()
         self.launcher.release()
         self._watch.release(now)
         return [TrialStep.RELEASE] if self._has_actuator else []
@@ -333,7 +359,7 @@ class Trial:
         """Return why the chaser must not be let go; empty if it may."""
         if not self._has_actuator:  # by hand it goes when it goes: nothing is to be refused
             return ""
-        reasons = [self._interlocks.refusal(now)]
+        reasons = [self._interlocks.refusal(now), self._absent]
         if self._lacks_client:
             reasons.append("client: has not asked for the result, it may not know of its goal")
         if now < self._silent + HOLD_TIMEOUT:
@@ -342,6 +368,8 @@ class Trial:
 
     def _follow(self, now: float) -> list[TrialStep]:
         """Follow the chaser to the verdict; abort an approach that is blind or not as planned."""
+        if self._has_actuator and (conflict := self._interlocks.publishers.conflict(now)):
+            return self._fail(conflict, now)
         if self._is_final and self.verdict in VERDICTS:
             self._enter(TrialPhase.DECIDED, now)
             return []
@@ -358,6 +386,10 @@ class Trial:
                 return self._fail(self.launcher.status.reason, now)
             elif reason or self._silence:
                 return self._fail(reason or self._silence, now)
+            elif self._lost:
+                return self._fail("; ".join(self._lost.values()), now)
+        elif CAPTURE_DETECTOR in self._lost:  # no verdict can come
+            return self._fail(self._lost[CAPTURE_DETECTOR], now)
         if now - self.released > self._limits.time_limit:
             return self._close(now)
         return []

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 from action_msgs.msg import GoalStatus
@@ -140,6 +141,7 @@ class Session:
         launcher=None,
         change=None,
         recorder_change=None,
+        launchers=1,
         **options,
     ):
         self.client, self.folder = client, folder
@@ -147,10 +149,19 @@ class Session:
         streams = f"[{', '.join([*poses, *STREAMS])}]"
         self.detector = start("capture_detector", **options)
         self.recorder = start("recorder", recorder_change, out=folder, topics=streams, **options)
+        self._restart = {
+            "capture_detector": partial(start, "capture_detector", **options),
+            "recorder": partial(start, "recorder", out=folder, topics=streams, **options),
+        }
         settings = {**PATIENT, "scene": "tilt_0", "after_verdict": 0.1}
         settings |= (launcher or {}) | options
-        self.launcher = start("launcher", change, actuator=actuator, **settings)
-        self.launcher.wait_for("ready for trials")
+        started = [
+            start("launcher", change, actuator=actuator, **settings) for _ in range(launchers)
+        ]
+        self.launcher = started[0]
+        self._restart["launcher"] = partial(start, "launcher", actuator=actuator, **settings)
+        for launcher in started:
+            launcher.wait_for("ready for trials")
         self.detector.wait_for("ready")
         self.recorder.wait_for("ready")
         self.holds = []  # s (wall) and value of launcher/hold
@@ -170,6 +181,27 @@ class Session:
         self.actions = actions_of(client)
         if self.has_actuator:  # a topic that is not ours: the recorder looks for it
             wait_until(lambda: self._is_read_by("recorder", "/launcher/hold"))
+
+    def kill(self, role):
+        """Kill a node (kill -9)."""
+        self._nodes[role].process.kill()
+        self._nodes[role].process.wait()
+
+    def restart(self, role):
+        """Start a node again with the same parameters."""
+        node = self._restart[role]()
+        node.wait_for("ready")
+        setattr(self, {"capture_detector": "detector"}.get(role, role), node)
+        if role == "launcher":
+            self.actions = actions_of(self.client)
+
+    @property
+    def _nodes(self):
+        return {
+            "capture_detector": self.detector,
+            "recorder": self.recorder,
+            "launcher": self.launcher,
+        }
 
     def _is_read_by(self, node, topic):
         readers = self.client.node.get_subscriptions_info_by_topic(topic)

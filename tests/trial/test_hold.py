@@ -8,7 +8,13 @@ import pytest
 from capture_sim import load_scene
 from capture_sim.detection.measurements import Source
 from capture_sim.launcher.state_machine import Launcher
-from capture_sim.trial.hold import HOLD_PERIOD, HOLD_TIMEOUT, HoldOutput, HoldReaders
+from capture_sim.trial.hold import (
+    HOLD_PERIOD,
+    HOLD_TIMEOUT,
+    HoldOutput,
+    HoldPublishers,
+    HoldReaders,
+)
 from capture_sim.trial.interlocks import Interlocks, TrialLimits
 from capture_sim.trial.trial import Trial, TrialGoal, TrialPhase, TrialStep
 
@@ -213,3 +219,32 @@ def test_a_driver_that_no_message_reaches_is_named():
     readers = HoldReaders()
     readers.note([], {"/rig": "reads std_msgs/msg/Int8", "/_ros2cli_1": "reads a/msg/B"}, 0.0)
     assert readers.refusal(9.0) == "launcher/hold: no reader (/rig reads std_msgs/msg/Int8)"
+
+
+def test_a_true_that_is_not_the_launchers_own_is_another_hand():
+    """Echoes of its own messages come late, and in order."""
+    for foreign in (False, True):
+        publishers = HoldPublishers("/launcher", -10.0)
+        publishers.begin()
+        sent = [True, True, False, False, False, False]
+        heard = [None, True, True, False, False, foreign]
+        for k, (own, echo) in enumerate(zip(sent, heard, strict=True)):
+            if echo is not None:
+                publishers.hear(echo, not own, 0.1 * k)
+        assert publishers.is_disputed is foreign
+        assert publishers.conflict(0.6) == ""  # its name may come
+        text = "launcher/hold: published by /launcher and by a node without a name"
+        assert publishers.conflict(2.0).startswith(text) is foreign
+        publishers.note(["/launcher", "/b"], 0, 0.6)
+        assert "published by /launcher and by /b: must be one node" in publishers.conflict(0.6)
+
+
+def test_publishers_of_the_hold_are_named():
+    publishers = HoldPublishers("/launcher", 0.0)
+    assert publishers.refusal(0.5) == "/launcher: started less than 1 s ago"
+    publishers.note(["/launcher"], 0, 1.0)
+    assert publishers.refusal(2.0) == ""
+    publishers.note(["/launcher"], 1, 2.0)
+    assert publishers.refusal(2.0) == "launcher/hold: published by a node that is not known yet"
+    publishers.note(["/launcher", "/launcher"], 0, 2.1)
+    assert "by /launcher and by /launcher: must be one node" in publishers.refusal(2.1)

@@ -175,6 +175,66 @@ def test_a_driver_that_leaves_aborts_an_approach(at_the_cone):
     assert trial.holds is not at_the_cone
 
 
+OTHERS = "launcher/hold: published by /launcher and by /lab2: must be one node"
+
+
+@pytest.mark.parametrize("when", [0.1, 1.0, CONTACT + 0.3])
+def test_another_hand_on_the_hold_lets_nothing_go(when):
+    """Before the release, in the approach, and in the contact."""
+    rig = Rig(others=when > 0.5)
+    rig.run(when)
+    rig.interlocks.publishers.note(["/lab2", "/launcher"], 0, rig.now)
+    if when > 0.5:
+        assert rig.trial.holds  # at once
+    rig.others = True
+    trial = rig.run(rig.limits.start_timeout + 0.5)
+    assert OTHERS in trial.failure
+    assert trial.is_released is (when > 0.5)
+    assert trial.phase is TrialPhase.OVER
+
+
+def test_another_hand_that_has_left_refuses_no_later_release():
+    rig = Rig()
+    rig.interlocks.publishers.note(["/lab2", "/launcher"], 0, rig.now)
+    rig.run(1.0)
+    rig.interlocks.publishers.note(["/launcher"], 0, rig.now)
+    trial = rig.run(1.0)
+    assert trial.is_released
+    assert not trial.holds
+
+
+def test_another_hand_after_the_verdict_is_a_problem():
+    rig = Rig()
+    rig.run(CONTACT + 0.5)
+    rig.trial.add_verdict("captured", "", is_final=True)
+    rig.run(0.1)
+    rig.interlocks.publishers.note(["/lab2", "/launcher"], 0, rig.now)
+    trial = rig.run(0.1)
+    assert trial.phase is TrialPhase.OVER
+    assert trial.outcome[0] == "captured"
+    assert OTHERS in trial.problems[0]
+
+
+@pytest.mark.parametrize("role", ["recorder", "capture_detector"])
+def test_required_nodes_that_are_absent_or_lost(role):
+    rig = Rig(others=False)
+    rig.trial.set_others(ready=False, done=False, pending="", absent=f"no {role} takes part")
+    trial = rig.run(rig.limits.start_timeout + 0.5)
+    assert trial.failure == f"not released after 10 s: no {role} takes part"
+    assert rig.steps == [TrialStep.CLOSE] or TrialStep.ANNOUNCE not in rig.steps
+    for when in (0.0, 1.0, CONTACT + 0.3):
+        rig = Rig(others=when > 0.0)
+        rig.run(max(when, 0.1))
+        rig.others = False
+        lost = {role: f"{role}: gone"}
+        rig.trial.set_others(ready=when > 0.0, done=False, pending="", lost=lost)
+        trial = rig.run(0.1)
+        goes_on = when > CONTACT and role == "recorder"
+        assert trial.holds is not goes_on
+        assert f"{role}: gone" in trial.failure or goes_on
+        assert trial.is_released is (when > 0.0)
+
+
 def test_two_nodes_that_publish_one_sensor_are_named():
     """A simulator in the domain of a bench: which of the two poses would be used is chance."""
     rig = Rig()
@@ -218,8 +278,13 @@ def test_a_simulator_that_starts_in_the_approach_touches_nothing():
 
 
 def test_a_verdict_of_another_run_is_ignored():
-    rig = Rig()
+    rig = Rig(others=False)
+    rig.run(0.5)
+    stamp = round((1.2e9 + rig.now) * 1e9)
+    rig.trial.add_verdict("stuck", "of an earlier trial", is_final=True, stamp=stamp)
+    rig.others = True
     rig.run(CONTACT + 0.5)
+    assert rig.trial.phase is TrialPhase.CONTACT
     rig.trial.add_verdict("missed", "of a replay", is_final=True, stamp=3_000_000_000)
     assert rig.trial.verdict == ""
     stamp = round((1.2e9 + rig.now - 0.1) * 1e9)

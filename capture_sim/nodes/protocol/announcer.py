@@ -74,6 +74,23 @@ class Announcement:
         ids = self.run.participants
         return [self._roll.parts[id_] for id_ in ids if id_ in self._roll.parts]
 
+    def present(self) -> list[Part]:
+        """Return the participants that are there and have not left the run."""
+        return [
+            part
+            for part in self.parts()
+            if self._roll.may_be_there(part.id) and not part.is_done(self.key)
+        ]
+
+    def gone(self) -> list[str]:
+        """Return the nodes that have not reported how the run ended for them, and are not there."""
+        reported = {part.id for part in self.parts() if part.is_done(self.key)}
+        return [
+            node_of(id_)
+            for id_ in self.run.participants
+            if id_ not in reported and not self._roll.may_be_there(id_)
+        ]
+
     def reports(self) -> list[RunReport]:
         """Return what the participants that have left the run report of it."""
         return [part.report for part in self.parts() if part.is_done(self.key)]

@@ -19,16 +19,27 @@ from capture_sim.base.exit_status import FAILED
 from capture_sim.errors import CaptureSimError, MessageError, one_line
 from capture_sim.messages.convert import LONGEST_NAME, RunDescription
 from capture_sim.messages.topics import (
+    CAPTURE_DETECTOR,
+    LAUNCHER,
     RUN_INFO,
     SIMULATOR,
     STREAM_COUNTS,
     RunSource,
     Topic,
+    topics_of,
 )
 from capture_sim.nodes.base.endpoints import TRANSIT_TIME
 from capture_sim.nodes.base.node import POLL, BenchNode
 from capture_sim.nodes.protocol.ends import INTERRUPTED, CutKind, EndKind, RunEnd
-from capture_sim.nodes.protocol.roll import DONE, READY, Roll, RunReport, has_streams, run_key
+from capture_sim.nodes.protocol.roll import (
+    DONE,
+    READY,
+    Roll,
+    RunReport,
+    has_streams,
+    node_of,
+    run_key,
+)
 from capture_sim.recording.completeness import Completeness, counts_of
 from capture_sim.scene.loading import load_scene_text
 from capture_sim.scene.parts import Scene
@@ -41,6 +52,9 @@ DRAIN_TIMEOUT = 5.0
 #: Ctrl-C mostly ends all nodes at once: the end of the run is waited for this long, and of a trial
 #: its recording and the client that asks for its result, s (wall).
 RUN_END_TIMEOUT = 3.0
+
+#: What the nodes themselves send in a trial.
+_OF_NODES = {STREAM_COUNTS, *topics_of(LAUNCHER), *topics_of(CAPTURE_DETECTOR)}
 
 
 @dataclass(frozen=True)
@@ -107,6 +121,15 @@ class _Participation:
         """Note that something of the run has come, or that its announcer is there."""
         self.quiet = 0
 
+    def note_message(self, topic: Topic) -> None:
+        """Note a message of the run.
+
+        The sensors of a real bench send whoever is there: in a trial they are no sign of the node
+        that announced it.  After its end the last messages of the nodes are waited for.
+        """
+        if self.run.simulated or (self.has_ended and topic in _OF_NODES):
+            self.note_sign()
+
     def missing(self) -> RunEnd:
         """Return the end of a run of which messages have not come."""
         missing = "; ".join(self.streams.problems())
@@ -166,7 +189,7 @@ class Follower:
                 if not present.has_begun:
                     self._begin(present)
                 present.streams.add(topic, None)
-                present.note_sign()
+                present.note_message(topic)
                 callback(message)
 
         self._followed.append(topic)
@@ -203,10 +226,10 @@ class Follower:
             return False
         return present.counts is None or not present.counts.complete
 
-    def note_message(self) -> None:
+    def note_message(self, topic: Topic) -> None:
         """Note a message of the run besides those that are followed."""
         if self._present is not None:
-            self._present.note_sign()
+            self._present.note_message(topic)
 
     def fail(self, problem: str) -> None:
         """Log a problem of the run that is on, once; the node will end with status 1."""
@@ -301,7 +324,9 @@ class Follower:
                 present.note_sign()
             if present.quiet * POLL > (DRAIN_TIMEOUT if present.has_ended else TRANSIT_TIME):
                 if not present.has_ended:
-                    text = "the simulator has gone without ending the run"
+                    who = node_of(present.run.info.announcer)
+                    who = "the simulator" if present.run.simulated else who
+                    text = f"{who} has gone without ending the run"
                     return RunEnd(EndKind.ABANDONED, text)
                 return present.missing()
             if time.monotonic() > deadline:

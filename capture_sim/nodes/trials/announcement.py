@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
@@ -15,12 +16,21 @@ from capture_sim.nodes.protocol.announcer import Announcement, Cast
 from capture_sim.nodes.protocol.roll import DONE, READY, Roll, RunReport
 from capture_sim.trial.trial import Trial, TrialPhase, TrialStep
 
+#: A participant that has left a trial without a report.
+GONE = "gone without a report: killed, or its network is down"
+
 
 class TrialAnnouncement:
-    """Does the steps of a trial, and follows which nodes take part in it."""
+    """Does the steps of a trial, and follows which nodes take part in it.
 
-    def __init__(self, node: BenchNode, roll: Roll, trial: Trial) -> None:
+    ``required``: roles without which nothing is let go.
+    """
+
+    def __init__(
+        self, node: BenchNode, roll: Roll, trial: Trial, required: Collection[str] = ()
+    ) -> None:
         self.trial = trial
+        self._required = sorted(required)
         self._node, self._roll = node, roll
         self._announced: Announcement | None = None
         self._cast = Cast([])
@@ -60,12 +70,14 @@ class TrialAnnouncement:
     def state_of_others(self) -> dict[str, Any]:
         """Return which of the other nodes have joined and ended: arguments of Trial.set_others."""
         if self._announced is None:
-            return {"ready": False, "done": False, "pending": ""}
+            absent = "; ".join(self._absences(self._required))
+            return {"ready": False, "done": False, "pending": "", "absent": absent}
         not_joined, not_left = self._announced.not_joined(), self._announced.not_left()
         return {
             "ready": not not_joined,
             "done": self._is_closed and not not_left,
             "pending": not_joined if self.trial.phase is TrialPhase.PREPARING else not_left,
+            "lost": {} if self._is_closed else self._lost(),
         }
 
     def result(self) -> dict[str, Any]:
@@ -77,6 +89,8 @@ class TrialAnnouncement:
         files = [report.file for report in reports if report.file]
         problems = [*self._absent, *trial.problems]
         problems += [problem for report in reports for problem in report.problems]
+        if self._announced is not None:
+            problems += [f"{node}: {GONE}" for node in self._announced.gone()]
         return {
             "verdict": verdict,
             "reason": reason,
@@ -90,17 +104,38 @@ class TrialAnnouncement:
             "max_torsion": trial.loads.max_torsion,
         }
 
+    def _absences(self, roles: Collection[str]) -> list[str]:
+        """Return a line for each of these roles of which no node can take part."""
+        free = {part.role for part in self._roll.free(RunSource.TRIAL)}
+        busy = {part.role: part.node for part in self._roll.busy(RunSource.TRIAL)}
+        return [
+            f"{busy[role]} does not take part: it is in another run"
+            if role in busy
+            else f"no {role} takes part"
+            for role in roles
+            if role not in free
+        ]
+
+    def _lost(self) -> dict[str, str]:
+        """Return a line for each required role whose nodes have all left the trial."""
+        assert self._announced is not None
+        here = {part.role for part in self._announced.present()}
+        reports = {
+            part.role: part.report.problems
+            for part in self._announced.parts()
+            if part.is_done(self._announced.key)
+        }
+        return {
+            role: f"{role}: {'; '.join(reports.get(role, ())) or GONE}"
+            for role in self._required
+            if role not in here
+        }
+
     def _announce(self) -> None:
         """Announce the trial to all nodes that take part in trials."""
         goal = self.trial.goal
         self._cast = cast = Cast(self._roll.free(RunSource.TRIAL))
-        busy = {part.role: part.node for part in self._roll.busy(RunSource.TRIAL)}
-        for role in {CAPTURE_DETECTOR, RECORDER} - {*cast.roles}:
-            text = f"no {role} takes part"
-            if role in busy:
-                text = f"{busy[role]} does not take part: it is in another run"
-                self._absent.append(text)
-            self._node.get_logger().warning(f"{goal.name}: {text}")
+        self._absent = self._absences((CAPTURE_DETECTOR, RECORDER))
         run = RunDescription.of(
             self.trial.scene,
             uuid.uuid4().hex,

@@ -12,6 +12,9 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.detection.measurements import Source
 from capture_sim.messages.cdr import Numbers
@@ -27,7 +30,7 @@ from capture_sim.nodes.base.endpoints import (
     why_incompatible,
 )
 from capture_sim.nodes.base.node import LOOK_UP_PERIOD, BenchNode
-from capture_sim.trial.hold import HoldOutput, HoldReaders
+from capture_sim.trial.hold import HoldOutput, HoldPublishers, HoldReaders
 from capture_sim.trial.interlocks import Interlocks, TrialLimits
 from capture_sim.trial.trial import Trial, TrialStep
 
@@ -63,12 +66,14 @@ class TrialBench:
         self.stamp = 0
         self._node, self._suite = node, suite
         self._trial: Trial | None = None
+        self._conflict = ""  # of the publishers of launcher/hold, as last logged
         topics = {
             source: [topic.name for topic in measuring]
             for source, measuring in TOPICS_OF_SOURCE.items()
         }
-        self.interlocks = Interlocks(limits, topics, HoldReaders(driver))
-        self._last_tick = self._caught_up = time.monotonic()
+        self._last_tick = self._caught_up = now = time.monotonic()
+        publishers = HoldPublishers(node.get_fully_qualified_name(), now)
+        self.interlocks = Interlocks(limits, topics, HoldReaders(driver), publishers)
         self._hold: HoldOutput | None = None
         if has_actuator:
             # transient local, so that a driver which starts late holds from its first message on
@@ -76,6 +81,12 @@ class TrialBench:
             output = node.create_publisher(kind, HOLD, TRANSIENT_LOCAL)
             self._hold = HoldOutput(lambda is_held: output.publish(kind(data=is_held)))
             self._output_hold()
+            # best effort and volatile matches every publisher: another hand is found at once
+            watch = SubscriptionEventCallbacks(matched=node.guarded(self._hear_publisher))
+            anyone = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+            node.create_subscription(
+                kind, HOLD, node.guarded(self._hear_hold), anyone, event_callbacks=watch
+            )
         self._force = Numbers(
             typestore(), LOAD_CELL.type_name, *(f"wrench.force.{axis}" for axis in "xyz")
         )
@@ -148,14 +159,40 @@ class TrialBench:
         if self._is_late(now):
             self._caught_up = now + MAX_LATENESS
         self._last_tick = now
+        if self.interlocks.publishers.has_nameless:
+            self._look_up_publishers_of_hold()
         self._decide(now)
         self._output_hold()
 
     def _is_late(self, now: float) -> bool:
         return now > self._last_tick + TICK + MAX_LATENESS
 
+    def _hear_hold(self, message: Any) -> None:
+        lets_go = self._trial is not None and not self._trial.holds
+        self.interlocks.publishers.hear(message.data, lets_go, time.monotonic())
+        self._output_hold()
+
+    def _hear_publisher(self, _: Any) -> None:
+        self._look_up_publishers_of_hold()
+        self._decide(time.monotonic())
+
+    def _look_up_publishers_of_hold(self) -> None:
+        """Note who publishes launcher/hold; log another node once."""
+        if self._hold is None:
+            return
+        ends = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(HOLD))
+        ends = [end for end in ends if end.topic_type == BOOL]
+        named = [full_name(end) for end in ends if UNKNOWN not in end.node_name]
+        now, publishers = time.monotonic(), self.interlocks.publishers
+        publishers.note(named, len(ends) - len(named), now)
+        conflict = publishers.conflict(now)
+        if conflict and conflict != self._conflict:
+            self._node.get_logger().error(conflict)
+        self._conflict = conflict
+
     def _look_up_others(self) -> None:
-        """Note who publishes the measurements, and who reads launcher/hold."""
+        """Note who publishes the measurements, and who reads and publishes launcher/hold."""
+        self._look_up_publishers_of_hold()
         nodes, mismatches = {}, {}
         for topic in (topic for measuring in TOPICS_OF_SOURCE.values() for topic in measuring):
             name = self._node.resolve_topic_name(topic.name)
@@ -168,7 +205,7 @@ class TrialBench:
         readers = self._node.get_subscriptions_info_by_topic(self._node.resolve_topic_name(HOLD))
         problems = {full_name(end): _why_not_reached(end) for end in readers}
         wrong = {node: problem for node, problem in problems.items() if problem}
-        drivers = _names(readers) - self._suite()
+        drivers = _names(readers) - self._suite() - {self._node.get_fully_qualified_name()}
         self.interlocks.readers.note(drivers - wrong.keys(), wrong, time.monotonic())
 
     def _decide(self, now: float) -> None:

@@ -20,7 +20,9 @@ from capture_sim.action import RunTrial
 from capture_sim.errors import CaptureSimError, one_line
 from capture_sim.launcher.state_machine import Launcher, LaunchSettings
 from capture_sim.messages.topics import (
+    CAPTURE_DETECTOR,
     LAUNCHER,
+    RECORDER,
     RUN_INFO,
     RunSource,
     topics_of,
@@ -51,6 +53,7 @@ class TrialSettings:
     ``has_actuator``: launcher/hold lets the chaser go; else it is let go by hand.
     ``needs_client``: the chaser is let go only once the client has asked for the result.
     ``driver``: the node that must read launcher/hold, empty for any.
+    ``required``: roles without which nothing is let go; a result names them where they are lost.
     ``scene``: of goals that name none; ``scene_folder``: whose files a goal may name besides the
     packaged scenes.
     """
@@ -59,6 +62,7 @@ class TrialSettings:
     limits: TrialLimits
     needs_client: bool = True
     driver: str = ""
+    required: tuple[str, ...] = ()
     scene: Scene | None = None
     scene_folder: Path | None = None
 
@@ -195,8 +199,11 @@ class TrialServer:
             self._refuse(str(error))
             return
         self._roll.await_heard()
-        self._roll.await_free(RunSource.TRIAL, lambda: handle.is_cancel_requested)
-        run = TrialAnnouncement(self._node, self._roll, trial)
+        required = self._settings.required if self._settings.has_actuator else ()
+        if not {RECORDER, CAPTURE_DETECTOR} <= set(required):  # else the trial waits for them
+            self._roll.await_free(RunSource.TRIAL, lambda: handle.is_cancel_requested)
+        run = TrialAnnouncement(self._node, self._roll, trial, required)
+        trial.set_others(**run.state_of_others())  # before a callback decides
         self._said = ""
         self._trial = trial
         self._bench.begin(trial)
