@@ -17,7 +17,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import yaml
 
 from capture_sim.errors import SceneError
 from capture_sim.scene.quantities import (
@@ -30,6 +29,7 @@ from capture_sim.scene.quantities import (
     quantity,
     shown,
 )
+from capture_sim.scene.yaml_text import yaml_text
 
 CONTACT_LAWS = (
     "lankarani_nikravesh",
@@ -606,8 +606,7 @@ class Scene(Checked):
 
     def to_yaml(self) -> str:
         """Return the complete scene as YAML text, from which it can be loaded exactly."""
-        text: str = yaml.safe_dump(as_mapping(self), sort_keys=False, default_flow_style=None)
-        return text
+        return yaml_text(self)
 
 
 #: Pattern of scene names, which recordings, plots and paths in the viewer contain.
