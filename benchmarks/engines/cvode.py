@@ -139,7 +139,7 @@ def _compiled() -> tuple[Any, Any, Any]:
                 else:
                     _, rate = wall_gap(y, system.par, wall)
                     touch[wall].on = 1
-                    hysteresis = system.par.hysteresis * system.par.K
+                    hysteresis = system.par.hysteresis * system.par.contact.stiffness
                     touch[wall].chi = hysteresis / max(-rate, system.par.v_0_floor)
                     touches[n_touches, 0], touches[n_touches, 1] = t[0], math.nan
                     touches[n_touches, 2] = 1.0 - 2.0 * wall

@@ -108,7 +108,7 @@ def check(parameters: Mapping[str, Any], scene: Scene) -> None:
     """Raise a ValueError for a scene of which the loop lacks a part."""
     has = ("has_supports", "has_latch", "has_stops", "has_shaped_buffer")
     missing = [name for name in has if parameters[name]]
-    if missing or scene.rail is not None or parameters["exponent"] != HERTZ:
+    if missing or scene.rail is not None or parameters["contact"]["exponent"] != HERTZ:
         raise ValueError(f"the floor has no {', '.join(missing) or 'rail'}: {scene.name}")
     if parameters["friction_law"] != TANH:
         raise ValueError(f"the floor has the friction law tanh only: {scene.name}")
@@ -118,7 +118,8 @@ def prepare(scene: Scene) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
     """Set a run up at the scene's ``run.rtol``; return what runs it and what reads the outcome."""
     par = packed(scene)[0]
     check(par, scene)
-    constants = np.array([float(par[name]) for name in _FIELDS])
+    given = {"K": par["contact"]["stiffness"]}
+    constants = np.array([float(given[n] if n in given else par[n]) for n in _FIELDS])
     y = np.concatenate(scene.initial_coordinates())
     weights, touches = 1.0 / error_scale(par)[:16], np.zeros((_ROOM, 3))
     evaluations, solve = ctypes.c_long(0), _solver()

@@ -76,7 +76,7 @@ class CompiledProblem:
     def latch(self, wall: int, approach: float) -> None:
         """Begin a touch."""
         par = self.par
-        chi = par["hysteresis"] * par["K"] / max(approach, par["v_0_floor"])
+        chi = par["hysteresis"] * par["contact"]["stiffness"] / max(approach, par["v_0_floor"])
         self.touch["on"][wall], self.touch["chi"][wall] = 1, chi
 
     def release(self, wall: int) -> None:
@@ -86,7 +86,9 @@ class CompiledProblem:
     def normal_force(self, y: np.ndarray, wall: int) -> float:
         """Return F_n, N; eq. (1)."""
         gap, rate = self.gap(y, wall)
-        force = max(-gap, 0.0) ** 1.5 * (self.par["K"] - self.touch["chi"][wall] * rate)
+        force = max(-gap, 0.0) ** 1.5 * (
+            self.par["contact"]["stiffness"] - self.touch["chi"][wall] * rate
+        )
         return max(float(force), 0.0)
 
 

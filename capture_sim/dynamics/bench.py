@@ -17,7 +17,7 @@ from capture_sim.dynamics.engine import loop
 from capture_sim.dynamics.engine.state import N_WATCHED, Status
 from capture_sim.dynamics.event_text import AT_WALL, event_text
 from capture_sim.dynamics.memory import STATE_BYTES, Memory, first_state, joined
-from capture_sim.dynamics.model.contact import FRICTION_LAWS
+from capture_sim.dynamics.model.contact import FRICTION_LAWS, power_law
 from capture_sim.dynamics.model.equations import hold_at_rest
 from capture_sim.dynamics.model.parameters import pack
 from capture_sim.dynamics.model.stiffness import stiffest_part
@@ -319,7 +319,7 @@ class Bench:
         ``v_eps`` (m/s) are parameters of the friction law "tanh".  Without stiffness nothing acts.
         """
         par = self._system["par"]
-        par["K"], par["exponent"], par["chi"], par["hysteresis"] = stiffness, exponent, chi, 0.0
+        par["contact"], par["chi"], par["hysteresis"] = power_law(stiffness, exponent)[0], chi, 0.0
         par["R_t"] = self.scene.probe.tip_radius + offset  # the same gap
         par["mu"], par["inverse_v_eps"] = mu, 1.0 / v_eps
         par["friction_law"] = FRICTION_LAWS["tanh"]
@@ -347,6 +347,7 @@ class Bench:
                 chi=float(touch["chi"].max()),
                 force=float(self._system["out"]["normal"].max()),
                 y=self._record["stepper"]["y"],
+                given_stiffness=self.scene.contact.stiffness is not None,
             )
             if stiffest is not None:
                 part, duration = stiffest

@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.base.compiled.kernels import entry_kernel, plain
+from capture_sim.base.compiled.kernels import entry_kernel, plain, records
 from capture_sim.dynamics.model.contact import (
     TANH,
     friction_coefficient,
     normal_force,
+    power_law,
     returned_restitution,
 )
 from capture_sim.scene.geometry import nearest_on_wall
@@ -25,16 +26,11 @@ _normal_force, _friction_coefficient = plain(normal_force), plain(friction_coeff
 
 @entry_kernel
 def _wall_forces(
-    depth: np.ndarray,
-    rate: np.ndarray,
-    stiffness: float,
-    exponent: float,
-    damping: float,
-    force: np.ndarray,
+    depth: np.ndarray, rate: np.ndarray, damping: float, laws: np.ndarray, force: np.ndarray
 ) -> None:
     """Write the normal force at each penetration (m) and rate (m/s) into ``force``, N."""
     for i in range(depth.size):
-        force[i], _ = normal_force(depth[i], rate[i], stiffness, exponent, damping)
+        force[i], _ = normal_force(depth[i], rate[i], damping, laws[0])
 
 
 @entry_kernel
@@ -120,6 +116,11 @@ class WallLaw:
         return replace(self, stiffness=stiffness, damping=0.0)
 
     @property
+    def elastic(self) -> np.ndarray:
+        """The elastic force as a (1,) record for the kernels."""
+        return power_law(self.stiffness, self.exponent)
+
+    @property
     def _duration_factor(self) -> float:
         n = self.exponent + 1.0  # pi for a spring
         return 2.0 / n * math.gamma(1.0 / n) * math.gamma(0.5) / math.gamma(1.0 / n + 0.5)
@@ -135,7 +136,7 @@ class WallLaw:
     def normal_forces(self, depth: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Return the normal force (n,), N, at depths in the scene's wall (m) and rates (m/s)."""
         force = np.empty(len(depth))
-        _wall_forces(depth + self.offset, rate, self.stiffness, self.exponent, self.damping, force)
+        _wall_forces(depth + self.offset, rate, self.damping, records(self.elastic), force)
         return force
 
     def grips(self, slip: np.ndarray) -> np.ndarray:
@@ -195,7 +196,8 @@ class Walls:
                 continue
             wall = self._penetration(tip, side)
             depth = wall.depth + law.offset
-            force, _ = _normal_force(depth, wall.rate, law.stiffness, law.exponent, law.damping)
+            elastic = law.elastic.view(np.recarray)[0]
+            force, _ = _normal_force(depth, wall.rate, law.damping, elastic)
             if force > 0.0:
                 slip = wall.slip / law.slip_speed
                 friction = -force * _friction_coefficient(slip, law.friction, 0.0, TANH)

@@ -15,7 +15,7 @@ import numpy as np
 
 from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.base.files import why_no_file, why_not_writable
-from capture_sim.errors import CaptureSimError, MessageError, RecordingError
+from capture_sim.errors import CaptureSimError, MessageError, RecordingError, SceneError
 from capture_sim.hardware.guard import Limits
 from capture_sim.hardware.law import TipState, WallLaw, Wrench
 from capture_sim.hardware.loop import MAX_START_DISTANCE, METHODS, N_AT_REST, Loop
@@ -105,6 +105,8 @@ class LoopSimulatorNode(BenchNode):
         self._t_end = scene.run.t_end
         if method != "model" and not law.stiffness:
             law = WallLaw(0.0, law.exponent, offset=law.offset)  # nothing is known of the walls
+        elif not law.stiffness and scene.contact.force_table is not None:
+            raise SceneError("stiffness = 0: must be > 0 with contact.force_table of the scene")
         elif not law.stiffness:
             law = replace(law, stiffness=scene.contact_stiffness)
         self._loop = Loop(LoopStage(scene, 1.0 / rate), method, law, limits, threshold, run_up)

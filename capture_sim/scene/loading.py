@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import math
 import re
 from collections.abc import Mapping
@@ -34,15 +35,19 @@ from capture_sim.scene.launch_plan import (
     tip_at_release,
     travel_to_touch,
 )
-from capture_sim.scene.parts import NEED_POSITIVE_RESTITUTION, Scene, as_mapping, as_name
+from capture_sim.scene.parts import HERTZ, NEED_POSITIVE_RESTITUTION, Scene, as_mapping, as_name
 from capture_sim.scene.quantities import refuse, shown
 
 #: Between a scene's title and the list of its changes.
 _CHANGED = "; with "
 #: Between two changes; a value may have commas.
 _NEXT_CHANGE = re.compile(r", (?=[a-z_]\w*(?:\.\w+)*=)")
-#: Smallest distance of two strokes in a table of forces, m.
-MIN_TABLE_SPACING = 1e-6
+#: Smallest distance of two strokes, or depths of a contact, in a table of forces, m.
+MIN_TABLE_SPACING, MIN_DEPTH_SPACING = 1e-6, 1e-9
+#: Share of the tip's radius: a deeper penetration stops the run.
+MAX_DEPTH_SHARE = 0.75
+#: Longest step of rk4 on the steepest part of a contact, rad of its oscillation.
+MAX_FIXED_ANGLE = 1.5
 #: A name that lists more changes than fit gets a hash of them, characters.
 _LONGEST_NAME = 60
 
@@ -154,7 +159,7 @@ def check_scene(scene: Scene) -> LaunchPlan:
     SceneError names the first rule that the scene breaks.
     """
     rules = (
-        *(_contact, _friction, _throat, _force_table, _stops, _rates),
+        *(_contact, _contact_table, _friction, _throat, _force_table, _stops, _rates),
         *(_start, _supports, _rail, _string, _latch),
     )
     try:
@@ -174,6 +179,47 @@ def _contact(scene: Scene) -> None:
     is_given = scene.contact.hysteresis_factor is not None
     if not is_given and law in NEED_POSITIVE_RESTITUTION and restitution <= 0.0:
         raise refuse("contact.restitution", restitution, "", f"> 0 and <= 1 with the law {law}")
+    stiffness, exponent = scene.contact.stiffness, scene.contact.exponent
+    if scene.contact.force_table is not None:
+        if stiffness is not None:
+            raise refuse("contact.stiffness", stiffness, "N/m^p", "null with contact.force_table")
+        if exponent != HERTZ:
+            raise refuse("contact.exponent", exponent, "", "1.5 with contact.force_table")
+    elif stiffness is None and exponent != HERTZ:
+        why = "eq. (2) is for a sphere on a plane"
+        raise refuse("contact.exponent", exponent, "", f"1.5 without contact.stiffness: {why}")
+
+
+@depends_on("contact", "probe", "run")
+def _contact_table(scene: Scene) -> None:
+    table, run, mass = scene.contact.force_table, scene.run, scene.probe.mass
+    if table is None:
+        return
+    name, R_t = "contact.force_table", scene.probe.tip_radius
+    _check_table(name, "depth", table, MIN_DEPTH_SPACING)
+    forces = [force for _, force in table]
+    for k in range(1, len(table)):
+        if forces[k] < forces[k - 1]:
+            allowed = f">= {forces[k - 1]:.9g}, the force of the point before"
+            raise refuse(f"{name}[{k}], force", forces[k], "N", allowed)
+    last = len(table) - 1
+    if forces[last] <= forces[0]:
+        allowed = f"> {forces[0]:.9g}, the force at depth 0: the wall has no stiffness"
+        raise refuse(f"{name}[{last}], force", forces[last], "N", allowed)
+    limit = MAX_DEPTH_SHARE * R_t
+    if table[last][0] > limit:
+        why = "3/4 of the tip's radius, where a run stops"
+        raise refuse(f"{name}[{last}], depth", table[last][0], "m", f"<= {limit:.6g}, {why}")
+    if run.method == "rk4":
+        steepest = max(
+            (high[1] - low[1]) / (high[0] - low[0])
+            for low, high in itertools.pairwise(table)
+            if high[0] > low[0]
+        )
+        longest = MAX_FIXED_ANGLE * math.sqrt(mass / steepest)
+        if run.step > longest:
+            why = "for the steepest part of contact.force_table"
+            raise refuse("run.step", run.step, "s", f"<= {longest:.3g} {why}")
 
 
 @depends_on("friction")
@@ -202,14 +248,27 @@ def _force_table(scene: Scene) -> None:
         value = getattr(buffer, name)
         if value != 0.0:
             raise refuse(f"buffer.{name}", value, unit, "0 with buffer.force_table")
-    strokes, forces = zip(*table, strict=True)
-    name = "buffer.force_table"
-    if strokes[0] != 0.0:
-        raise refuse(f"{name}[0], stroke", strokes[0], "m", "0, the rest length")
+    _check_table("buffer.force_table", "stroke", table, MIN_TABLE_SPACING)
+
+
+def _check_table(
+    name: str, place: str, table: tuple[tuple[float, float], ...], spacing: float
+) -> None:
+    """Check the rules of each measured force: its places rise from 0, and it never pulls.
+
+    A point that is listed twice is a kink; each side of it has another point.
+    """
+    places, forces = zip(*table, strict=True)
+    if places[0] != 0.0:
+        why = "0, the rest length" if place == "stroke" else "0, the start of a touch"
+        raise refuse(f"{name}[0], {place}", places[0], "m", why)
+    last = len(table) - 1
     for k in range(1, len(table)):
-        low = strokes[k - 1] + MIN_TABLE_SPACING
-        if not strokes[k] >= low:
-            raise refuse(f"{name}[{k}], stroke", strokes[k], "m", f">= {low:.9g}, in rising order")
+        is_kink = table[k] == table[k - 1] and 1 < k < last and places[k] > places[k - 2]
+        low = places[k - 1] + spacing
+        if not (places[k] >= low or is_kink):
+            why = "in rising order, or the point before once more as a kink between two others"
+            raise refuse(f"{name}[{k}], {place}", places[k], "m", f">= {low:.9g}, {why}")
     for k, force in enumerate(forces):
         if force < 0.0:
             raise refuse(f"{name}[{k}], force", force, "N", ">= 0")

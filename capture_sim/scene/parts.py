@@ -46,6 +46,8 @@ CONTACT_LAWS = (
 #: Laws whose hysteresis factor grows without bound as the restitution goes to 0.
 NEED_POSITIVE_RESTITUTION = ("gonthier", "flores", "hu_guo", "exact")
 FRICTION_LAWS = ("tanh", "clamp", "brown_mcphee", "coulomb", "none")
+#: Exponent of the penetration between a sphere and a plane (Hertz).
+HERTZ = 1.5
 #: Range of the detector's lengths, m; a length above one metre indicates a wrong unit.
 DETECTOR_LENGTH = Range(0.0, 1.0, low_open=True)
 #: Largest number of points of a measured curve.
@@ -249,6 +251,26 @@ class Contact(Checked):
         default=None,
         doc="hysteresis damping factor a itself, in place of law and restitution; null: a(e) of "
         "the law",
+    )
+    stiffness: float | None = quantity(
+        "N/m^p",
+        POSITIVE,
+        default=None,
+        doc="stiffness K of the elastic force K delta^p; null: eq. (2), of both materials",
+    )
+    exponent: float = quantity(
+        "1",
+        Range(1.0, 3.0),
+        default=HERTZ,
+        doc="exponent p of the penetration: 1 a spring, 1.5 Hertz; another needs stiffness",
+    )
+    force_table: tuple[tuple[float, float], ...] | None = points(
+        ("depth", "force"),
+        ("m", "N"),
+        (2, MAX_TABLE_POINTS),
+        default=None,
+        doc="measured elastic force over the penetration, in place of stiffness and exponent, from "
+        "depth 0 on; a point listed twice is a kink; null: no table",
     )
 
 
@@ -590,7 +612,9 @@ class Scene(Checked):
 
     @cached_property
     def contact_stiffness(self) -> float:
-        """K of eq. (2), N/m^1.5."""
+        """Stiffness K of the contact, N/m^p; without one of its own, of eq. (2), N/m^1.5."""
+        if self.contact.stiffness is not None:
+            return self.contact.stiffness
         return (
             4.0
             * math.sqrt(self.probe.tip_radius)

@@ -264,6 +264,19 @@ def test_own_force_meets_the_wall_as_the_packages_does(own_contact_law):
     assert found == pytest.approx(peak, rel=1e-3)
 
 
+def test_own_contact_runs_and_its_page_has_its_errors(tmp_path, run):
+    lining, lip, *rows = run(tmp_path, f"{ROOT}/examples/own_contact.py").splitlines()
+    assert lining.startswith("lining: captured")
+    assert lip.startswith("lip: rebound")
+    page = (ROOT / "docs/own_contact.md").read_text()
+    for row in rows:
+        points, force, duration = (float(cell) for cell in row.strip("|").split("|"))
+        found = re.search(rf"^\| {points:g} \| (\S+) \| (\S+) \|$", page, re.MULTILINE)
+        assert found is not None
+        assert force == pytest.approx(float(found[1]), rel=0.1)
+        assert duration == pytest.approx(float(found[2]), abs=2e-7)
+
+
 def test_own_contact_law_runs(tmp_path, run):
     first, *peaks = run(tmp_path, f"{ROOT}/examples/own_contact_law.py").splitlines()
     assert first.startswith("Safaeifar: captured")

@@ -63,7 +63,9 @@ def test_contact_force_acts_as_a_force_on_both_bodies():
         }
         for i, wall in enumerate((1, -1)):
             if wall in speeds:
-                touch["chi"][i] = par["hysteresis"] * par["K"] / max(speeds[wall], 1e-4)
+                touch["chi"][i] = (
+                    par["hysteresis"] * par["contact"]["stiffness"] / max(speeds[wall], 1e-4)
+                )
         y, f = np.concatenate([q, v, np.zeros(N_TOTAL - 16)]), np.zeros(N_TOTAL)
         loop.evaluate(system, y, f)
         Q = mass_matrix(scene, q) @ f[8:16] + bias(scene, q, v) - buffer_forces(scene, q, v)

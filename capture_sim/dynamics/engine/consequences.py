@@ -14,7 +14,13 @@ from capture_sim.dynamics.engine.events import (
     is_slow,
 )
 from capture_sim.dynamics.engine.state import NO_EVENT
-from capture_sim.dynamics.model.contact import COULOMB, normal_force
+from capture_sim.dynamics.model.contact import (
+    COULOMB,
+    damping_of_touch,
+    elastic_contact_energy,
+    expected_depth,
+    normal_force,
+)
 from capture_sim.dynamics.model.equations import (
     HYSTERESIS,
     IMPULSE,
@@ -30,11 +36,7 @@ from capture_sim.dynamics.model.equations import (
     solve_sticking,
     tip_in_cone,
 )
-from capture_sim.dynamics.model.observe import (
-    elastic_contact_energy,
-    kinetic_energy,
-    mechanical_energy,
-)
+from capture_sim.dynamics.model.observe import kinetic_energy, mechanical_energy
 from capture_sim.dynamics.samples import EventKind
 
 #: Share r of the supports' limit below which a slow vehicle is put at rest: at this load, the
@@ -49,6 +51,8 @@ _FREE_SHARE = 0.3
 #: Multiple of the rest speed above which a vehicle no longer counts as slow; round-off must not
 #: make it slow again at once.
 _LEFT_SLOW = 2.0
+#: m: a penetration at the start of a touch, whose force is that of a depth of 0.
+_TOUCHING = 1e-300
 #: Multiple of the slip floor: a tip that slips faster has reversed before its event was applied.
 _LATE_SLIP = 2.0
 
@@ -105,11 +109,13 @@ def begin_touch(w, i):
     touch.on = 1
     touch.chi = par.chi
     if par.chi == 0.0:
-        touch.chi = par.hysteresis * par.K / max(speed, par.v_0_floor)
+        touch.chi = damping_of_touch(par.hysteresis, max(speed, par.v_0_floor), par.contact)
     touch.direction = 1.0 if slip_of(y, par, i) >= 0.0 else -1.0
     touch.start = step.t0
     touch.approach_speed = speed
     touch.largest_rate = speed
+    # the force of a preloaded wall jumps
+    touch.peak_force, _ = normal_force(_TOUCHING, speed, touch.chi, par.contact)
     touch.peak_time = step.t0
     touch.impulse_0 = y[IMPULSE + i]
     touch.dissipated_0 = y[HYSTERESIS + i]
@@ -118,8 +124,8 @@ def begin_touch(w, i):
     e.which = 1 - 2 * i
     e.value = speed
     # an elastic impact at this speed of the probe alone lasts about as long as this touch
-    v, power = max(speed, par.v_0_floor), par.exponent + 1.0
-    penetration = (0.5 * power * par.m_P * v * v / par.K) ** (1.0 / power)
+    v = max(speed, par.v_0_floor)
+    penetration = expected_depth(par.m_P, v, par.contact)
     tighter = (par.rtol / _SHARE_RTOL) ** (1.0 / _ORDER_OF_FIRST)
     touch.depth = penetration
     step.h_before_touch = step.h_next
@@ -192,7 +198,7 @@ def latch_tip(w):
     for i in range(2):
         if mode.touch[i].on:
             gap, _, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
-            w.totals.lost_latch += elastic_contact_energy(gap, par.K, par.exponent)
+            w.totals.lost_latch += elastic_contact_energy(gap, par.contact)
             end_touch(w, i)
     mode.latched = 1
     w.step.start_measured = 0
@@ -213,7 +219,7 @@ def follow_jump(w, i):
     px, py, wx, wy = tip_in_cone(y, par)
     gap, rate, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
     touch.largest_rate = max(touch.largest_rate, -rate)
-    force, _ = normal_force(-gap, -rate, par.K, par.exponent, touch.chi)
+    force, _ = normal_force(-gap, -rate, touch.chi, par.contact)
     if force > touch.peak_force:
         touch.peak_force = force
         touch.peak_time = step.t0

@@ -18,7 +18,7 @@ import numpy as np
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
 from capture_sim.dynamics.engine.state import NO_EVENT, NO_WALL
 from capture_sim.dynamics.engine.steps import SMALL_MOVE, distance_to_edge, move_along, state_inside
-from capture_sim.dynamics.model.contact import COULOMB
+from capture_sim.dynamics.model.contact import COULOMB, acts
 from capture_sim.dynamics.model.equations import (
     Hold,
     axial_force,
@@ -497,7 +497,7 @@ def search_step(w):
     h = step.h
     event.x = _NO_CROSSING
     event.kind = NO_EVENT
-    if not mode.latched and par.K > 0.0:
+    if not mode.latched and acts(par.contact):
         for i in range(2):
             kind = EventKind.LIFT_OFF if mode.touch[i].on else EventKind.TOUCH
             sign = -1.0 if mode.touch[i].on else 1.0

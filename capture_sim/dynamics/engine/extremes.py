@@ -21,7 +21,11 @@ from capture_sim.dynamics.engine.steps import (
     move_along,
     state_inside,
 )
-from capture_sim.dynamics.model.contact import normal_force, raised_depth
+from capture_sim.dynamics.model.contact import (
+    contact_slope,
+    normal_force,
+    normal_force_and_rate,
+)
 from capture_sim.dynamics.model.equations import (
     axial_force,
     axial_force_rate,
@@ -144,9 +148,8 @@ def value_at(w, x, quantity, side):
         return -gap
     if quantity == Watched.PENETRATION_RATE:
         return -rate
-    force, _ = normal_force(
-        -gap, -rate, par.K, par.exponent, w.system.mode.touch[0 if side > 0 else 1].chi
-    )
+    chi = w.system.mode.touch[0 if side > 0 else 1].chi
+    force, _ = normal_force(-gap, -rate, chi, par.contact)
     return force
 
 
@@ -323,16 +326,6 @@ def watch_extremes(w):
             watch_touch(w, i)
 
 
-@kernel
-def force_and_rate(depth, rate, acceleration, K, exponent, chi):
-    """Return the normal force (N) and its rate (N/s) for a penetration and its derivatives."""
-    force, _ = normal_force(depth, rate, K, exponent, chi)
-    if force <= 0.0:
-        return 0.0, 0.0
-    slope = exponent * rate * (K + chi * rate) + chi * depth * acceleration
-    return force, raised_depth(depth, exponent) / depth * slope
-
-
 @inline_kernel
 def may_ripple(w, touch, p_b, f_a, f_b):
     """Return True if the force of a sustained contact may pass its peak within the segment.
@@ -342,7 +335,7 @@ def may_ripple(w, touch, p_b, f_a, f_b):
     par, width = w.system.par, w.step.x_end * w.step.h
     if p_b <= 0.0 or (1.0 + _RIPPLE) * max(f_a, f_b) <= touch.peak_force:
         return False
-    stiffness = par.exponent * par.K * raised_depth(p_b, par.exponent) / p_b
+    stiffness, _ = contact_slope(p_b, touch.chi, par.contact)
     return width * width * stiffness > _RIPPLE_ANGLE * _RIPPLE_ANGLE * par.m_P
 
 
@@ -364,7 +357,6 @@ def scan_force(w, side):
 def watch_touch(w, i):
     """Keep peak penetration, its rate and the normal force of wall ``i`` inside the segment."""
     step, stepper, par = w.step, w.stepper, w.system.par
-    K, exponent = par.K, par.exponent
     start, end = step.start, step.end
     side, touch = 1.0 - 2.0 * i, w.system.mode.touch[i]
     width = step.x_end * step.h
@@ -374,8 +366,8 @@ def watch_touch(w, i):
     if may_exceed(largest, width, p_a, r_a, p_b, r_b):
         watch(w, Watched.PENETRATION, side, PENETRATION, p_a, r_a, p_b, r_b)
     touch.largest_rate = max(touch.largest_rate, r_b)
-    force, _ = normal_force(p_b, r_b, K, exponent, touch.chi)
-    force_a, _ = normal_force(p_a, r_a, K, exponent, touch.chi)
+    force, _ = normal_force(p_b, r_b, touch.chi, par.contact)
+    force_a, _ = normal_force(p_a, r_a, touch.chi, par.contact)
     if may_ripple(w, touch, p_b, force_a, force):
         x, peak = scan_force(w, side)
         if peak > touch.peak_force:
@@ -389,7 +381,7 @@ def watch_touch(w, i):
     swing = abs(r_a) + abs(r_b) + abs(r_m)
     rate = max(r_a, r_b, r_m) + _RATE_RISE * swing
     depth = max(p_a, p_b) + _CUBIC_RISE * width * swing
-    force, _ = normal_force(depth, rate, K, exponent, touch.chi)
+    force, _ = normal_force(depth, rate, touch.chi, par.contact)
     if rate > touch.largest_rate or force > touch.peak_force:
         a_a = -gap_acceleration(stepper.y, stepper.K[0], w.system.par, i)
         if step.x_end == 1.0:
@@ -400,8 +392,8 @@ def watch_touch(w, i):
         _, touch.largest_rate = rise_inside(
             w, Watched.PENETRATION_RATE, side, touch.largest_rate, r_a, a_a, r_b, a_b
         )
-        f_a, d_a = force_and_rate(p_a, r_a, a_a, K, exponent, touch.chi)
-        f_b, d_b = force_and_rate(p_b, r_b, a_b, K, exponent, touch.chi)
+        f_a, d_a = normal_force_and_rate(p_a, r_a, a_a, touch.chi, par.contact)
+        f_b, d_b = normal_force_and_rate(p_b, r_b, a_b, touch.chi, par.contact)
         if step.x_end < 1.0 and step.t0 == touch.start:
             # the whole touch may lie in this segment, with the force zero at both ends
             x, peak = largest_inside(w, Watched.NORMAL_FORCE, side, 0.5 * step.x_end, 0.0, -1.0)

@@ -23,7 +23,7 @@ from capture_sim.dynamics.engine.steps import (
     step_length,
     take_step,
 )
-from capture_sim.dynamics.model.contact import raised_depth
+from capture_sim.dynamics.model.contact import acts, contact_slope
 from capture_sim.dynamics.model.equations import N_TOTAL, rate_of_change
 from capture_sim.dynamics.model.observe import observe
 from capture_sim.dynamics.samples import EventKind
@@ -104,11 +104,10 @@ def is_resolved(w):
         depth = -w.step.end.gap[i]
         if not mode.touch[i].on or depth <= 0.0:
             continue
-        shape = raised_depth(depth, par.exponent)
-        stiffness = par.exponent * par.K * shape / depth
+        stiffness, damping = contact_slope(depth, mode.touch[i].chi, par.contact)
         if par.fixed_step**2 * stiffness > _FIXED_ANGLE**2 * par.m_P:
             return False
-        if par.fixed_step * mode.touch[i].chi * shape > _FIXED_DECAY * par.m_P:
+        if par.fixed_step * damping > _FIXED_DECAY * par.m_P:
             return False
     return True
 
@@ -145,7 +144,7 @@ def end_segment(w):
     if event.kind != NO_EVENT:
         measure_distances(w, w.y_end)
     if (
-        par.K > 0.0
+        acts(par.contact)
         and not w.system.mode.latched
         and min(step.end.gap[0], step.end.gap[1]) < -_MAX_DEPTH_SHARE * par.R_t
     ):

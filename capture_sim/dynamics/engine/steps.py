@@ -6,7 +6,7 @@ import math
 
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
 from capture_sim.dynamics.engine.state import N_WATCHED, NO_EVENT, SMALLEST_STEP, Status
-from capture_sim.dynamics.model.contact import raised_depth
+from capture_sim.dynamics.model.contact import contact_slope, normal_force
 from capture_sim.dynamics.model.equations import (
     N_STATE,
     N_TOTAL,
@@ -188,16 +188,17 @@ def step_length(w):
     for i in range(2):
         touch, depth = w.system.mode.touch[i], -step.start.gap[i]
         if touch.on and depth > 0.0:
-            shape = raised_depth(depth, par.exponent)
-            stiffness = par.exponent * par.K * shape / depth
-            rate = max(math.sqrt(stiffness / par.m_P), touch.chi * shape / par.m_P)
-            h = min(h, _CONTACT_ANGLE / rate)
+            stiffness, damping = contact_slope(depth, touch.chi, par.contact)
+            rate = max(math.sqrt(stiffness / par.m_P), damping / par.m_P)
+            if rate > 0.0:
+                h = min(h, _CONTACT_ANGLE / rate)
             opening = step.start.gap_rate[i]
             if opening * h > _NEARLY * depth:
                 # F ~ t^1.5 at the end of a touch: a step across it errs by about F t^2 / m_P
                 left = depth / opening
                 allowed = min(par.rtol * par.length_scale, _DEPTH_SHARE * touch.depth)
-                is_small = par.K * shape * left * left < _END_ERROR * allowed * par.m_P
+                _, elastic = normal_force(depth, 0.0, 0.0, par.contact)
+                is_small = elastic * left * left < _END_ERROR * allowed * par.m_P
                 h = min(h, (_PAST_END if is_small else _TOWARDS_END) * left)
     return h
 

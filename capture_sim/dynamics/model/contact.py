@@ -1,14 +1,17 @@
 r"""Contact of the tip with a wall: normal force with hysteresis damping, and Coulomb friction.
 
-    F = K delta^1.5 (1 + a delta' / v_0),   never below 0
+    F = f(delta) (1 + a delta' / v_0),   never below 0
+
+The elastic force f is K delta^p, or a measured curve; a record of CONTACT has it.  Only this module
+reads that record: others call its force, rate of the force, slope, energy and expected depth.
 
 The laws differ in the hysteresis factor ``a(e)`` only (``chi = a K / v_0``).  Between two
 free bodies this force returns the restitution ``e_out`` with
 
     a (1 + e_out) = ln[(1 + a) / (1 - a e_out)]
 
-independent of the masses, K and the exponent: divide the equation of the approach by that of the
-penetration, ``m v dv = -K delta^n (1 + a v / v_0) d delta``, and integrate over the whole touch.
+independent of the masses and of f: divide the equation of the approach by that of the
+penetration, ``m v dv = -f(delta) (1 + a v / v_0) d delta``, and integrate over the whole touch.
 
 Friction: three laws regularise it at zero slip, one switches by events:
 
@@ -30,9 +33,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 
-from capture_sim.base.compiled.kernels import inline_kernel
+import numpy as np
+
+from capture_sim.base.compiled.kernels import inline_kernel, kernel
+from capture_sim.dynamics.model.force_table import (
+    FORCE_TABLE,
+    force_table,
+    tabulated_depth,
+    tabulated_spring,
+)
 from capture_sim.dynamics.model.trig import hyperbolic_tangent
+from capture_sim.scene.parts import HERTZ
 
 
 def returned_restitution(a: float) -> float:
@@ -105,35 +118,126 @@ FRICTION_LAWS = {
     "coulomb": COULOMB,
 }
 
-#: Exponent of the penetration between a sphere and a plane (Hertz).
-HERTZ = 1.5
+#: A wall's elastic force, ``stiffness`` times its shape: the depth to the power of ``exponent``,
+#: or the curve of ``table`` where that has points.
+CONTACT = np.dtype(
+    [
+        ("stiffness", "f8"),  # K, N/m^exponent; 1 with a table; 0: the walls do not act
+        ("exponent", "f8"),  # p of the penetration; 0 with a table
+        ("table", FORCE_TABLE),
+    ],
+    align=True,
+)
+
+
+@lru_cache(maxsize=8)
+def power_law(stiffness: float, exponent: float) -> np.ndarray:
+    """Return the (1,) record of the elastic force K delta^p, with K in N/m^p."""
+    record = np.zeros(1, CONTACT)
+    record["stiffness"], record["exponent"] = stiffness, exponent
+    record.flags.writeable = False
+    return record
+
+
+@lru_cache(maxsize=8)
+def measured_law(points: tuple[tuple[float, float], ...]) -> np.ndarray:
+    """Return the (1,) record of the elastic force through points of depth (m) and force (N)."""
+    record = np.zeros(1, CONTACT)
+    record["stiffness"] = 1.0
+    record["table"] = force_table(points, is_spring=False)
+    record.flags.writeable = False
+    return record
 
 
 @inline_kernel
-def raised_depth(depth, exponent):
-    """Return depth^exponent, for a depth above 0."""
-    if exponent == HERTZ:
+def acts(contact):
+    """Return True unless the walls are switched off."""
+    return contact.stiffness > 0.0
+
+
+@kernel
+def _other_shape(depth, contact):
+    """Return the shape of a force that is not Hertz's, for a depth above 0."""
+    if contact.table.count:
+        force, _, _ = tabulated_spring(depth, contact.table)
+        return force
+    return depth**contact.exponent
+
+
+@inline_kernel
+def shape_at(depth, contact):
+    """Return the elastic force per stiffness, for a depth above 0."""
+    if contact.exponent == HERTZ:
         return depth * math.sqrt(depth)  # a fifth of the cost of a power
-    return depth**exponent
+    return _other_shape(depth, contact)
 
 
 @inline_kernel
-def normal_force(
-    penetration: float, rate: float, K: float, exponent: float, chi: float
-) -> tuple[float, float]:
+def normal_force(penetration, rate, chi, contact):
     """Return the normal force and its elastic part, N.
 
-    ``penetration`` delta, m; ``rate`` delta', m/s; ``K`` N/m^p and ``chi`` N s/m^(p + 1) with the
-    exponent p.  Lankarani and Nikravesh (1990), eq. (1), with p = 1.5; it never pulls.
+    ``penetration`` delta, m; ``rate`` delta', m/s; ``chi``, the damping per shape, of
+    :func:`damping_of_touch`.  With Hertz's exponent, Lankarani and Nikravesh (1990), eq. (1); it
+    never pulls.
     """
     if penetration <= 0.0:
         return 0.0, 0.0
-    shape = raised_depth(penetration, exponent)
-    elastic = K * shape
+    shape = shape_at(penetration, contact)
+    elastic = contact.stiffness * shape
     force = elastic + chi * shape * rate
     if force < 0.0:
         force = 0.0
     return force, elastic
+
+
+@kernel
+def normal_force_and_rate(depth, rate, acceleration, chi, contact):
+    """Return the normal force (N) and its rate (N/s) for a penetration and its derivatives."""
+    force, _ = normal_force(depth, rate, chi, contact)
+    if force <= 0.0:
+        return 0.0, 0.0
+    K = contact.stiffness
+    if contact.table.count:
+        shape, slope, _ = tabulated_spring(depth, contact.table)
+        return force, slope * rate * (K + chi * rate) + chi * shape * acceleration
+    change = contact.exponent * rate * (K + chi * rate) + chi * depth * acceleration
+    return force, shape_at(depth, contact) / depth * change
+
+
+@kernel
+def contact_slope(depth, chi, contact):
+    """Return the slope of the elastic force (N/m) and the damping (N s/m), for a depth above 0."""
+    if contact.table.count:
+        shape, slope, _ = tabulated_spring(depth, contact.table)
+        return contact.stiffness * slope, chi * shape
+    shape = shape_at(depth, contact)
+    return contact.exponent * contact.stiffness * shape / depth, chi * shape
+
+
+@inline_kernel
+def elastic_contact_energy(gap, contact):
+    """Return the elastic energy of a contact, J, of a depth -gap."""
+    if gap >= 0.0:
+        return 0.0
+    if contact.table.count:
+        _, _, energy = tabulated_spring(-gap, contact.table)
+        return energy
+    return -contact.stiffness * gap * shape_at(-gap, contact) / (contact.exponent + 1.0)
+
+
+@kernel
+def expected_depth(mass, speed, contact):
+    """Return the largest depth (m) of an elastic impact of a mass (kg) at a speed (m/s)."""
+    if contact.table.count:
+        return tabulated_depth(0.5 * mass * speed * speed, contact.table)
+    power = contact.exponent + 1.0
+    return (0.5 * power * mass * speed * speed / contact.stiffness) ** (1.0 / power)
+
+
+@inline_kernel
+def damping_of_touch(a, speed, contact):
+    """Return ``chi`` of a touch with the hysteresis factor ``a`` at an approach speed (m/s)."""
+    return a * contact.stiffness / speed
 
 
 @inline_kernel

@@ -191,7 +191,7 @@ def tip_forces(y, system, px, py, wx, wy):
         touch = mode.touch[i]
         if touch.on:
             gap, rate, nx, ny = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
-            force, elastic = normal_force(-gap, -rate, par.K, par.exponent, touch.chi)
+            force, elastic = normal_force(-gap, -rate, touch.chi, par.contact)
             slip = slip_speed(gap, nx, ny, wx, wy, y[11] - y[15], par)
             if par.friction_law == COULOMB:
                 sliding = -par.mu * force * touch.direction

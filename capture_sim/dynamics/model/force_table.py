@@ -1,15 +1,17 @@
-r"""Force of an axial spring that was measured: a monotone cubic through its points.
+r"""Force that was measured, of an axial spring or a wall: a monotone cubic through its points.
 
 Between two points the force is the cubic of Fritsch and Carlson (1980) with the slopes of Fritsch
 and Butland (1984), as SciPy's ``PchipInterpolator`` computes them: it rises where the points rise,
 and its slope is continuous.  Beyond the last point it continues along its slope there.  The energy
-is the integral of the cubics, in closed form.
+is the integral of the cubics, in closed form.  At a point that is listed twice the curve has a
+kink: the cubics on both sides do not know each other.
 
-Without a preload the spring also acts outwards, with the mirrored curve F(-s) = -F(s).
+Without a preload a spring also acts outwards, with the mirrored curve F(-s) = -F(s).
 """
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -17,8 +19,11 @@ import numpy as np
 from capture_sim.base.compiled.kernels import kernel
 from capture_sim.scene.parts import MAX_TABLE_POINTS
 
-#: Cubics of a table: force above that at rest = force + u (slope + u (bend + u twist)) with the
-#: distance u from a point's stroke.
+#: Bisections between two points in the search for a depth; it is for step sizes only.
+_HALVINGS = 20
+
+#: Cubics of a table: force = force + u (slope + u (bend + u twist)) with the distance u from a
+#: point's stroke.  The force of a spring is that above the force at rest.
 FORCE_TABLE = np.dtype(
     [
         ("count", "i8"),  # of the points; 0: no table
@@ -27,7 +32,7 @@ FORCE_TABLE = np.dtype(
         ("slope", "f8", (MAX_TABLE_POINTS,)),  # N/m
         ("bend", "f8", (MAX_TABLE_POINTS,)),  # N/m^2; 0 at the last point
         ("twist", "f8", (MAX_TABLE_POINTS,)),  # N/m^3; 0 at the last point
-        ("energy", "f8", (MAX_TABLE_POINTS,)),  # of the force above that at rest, J
+        ("energy", "f8", (MAX_TABLE_POINTS,)),  # J, from stroke 0 to the point
         ("largest_slope", "f8"),  # N/m
     ],
     align=True,
@@ -35,23 +40,20 @@ FORCE_TABLE = np.dtype(
 
 
 @lru_cache(maxsize=8)
-def force_table(points: tuple[tuple[float, float], ...]) -> np.ndarray:
-    """Return the (1,) record of a table of strokes (m, rising from 0) and forces (N)."""
-    # imported here: only scenes with a table need it
-    from scipy.interpolate import PchipInterpolator
+def force_table(points: tuple[tuple[float, float], ...], *, is_spring: bool = True) -> np.ndarray:
+    """Return the (1,) record of a table of strokes (m, rising from 0) and forces (N).
 
+    A spring's forces are those above its force at rest, and its curve may be mirrored.
+    """
     strokes, forces = np.array(points).T
-    above, n = forces - forces[0], len(strokes)
-    first = 0
-    if forces[0] == 0.0:
-        # the slope at rest is that of the mirrored curve
-        strokes = np.concatenate([-strokes[:0:-1], strokes])
-        above = np.concatenate([-above[:0:-1], above])
-        first = n - 1
-    curve = PchipInterpolator(strokes, above)
-    twist, bend, slope, _ = (row[first:] for row in curve.c)
-    strokes, above = strokes[first:], above[first:]
-    width = np.diff(strokes)
+    above = forces - forces[0] if is_spring else forces
+    is_mirrored = is_spring and forces[0] == 0.0
+    kinks = np.flatnonzero(np.diff(strokes) == 0.0) + 1
+    pieces = zip(np.split(strokes, kinks), np.split(above, kinks), strict=True)
+    curves = [_cubics(*piece, is_mirrored and k == 0) for k, piece in enumerate(pieces)]
+    twist, bend, slope = (np.concatenate(rows) for rows in zip(*curves, strict=True))
+    strokes, above = np.delete(strokes, kinks), np.delete(above, kinks)
+    n, width = len(strokes), np.diff(strokes)
     at_end = slope[-1] + width[-1] * (2.0 * bend[-1] + 3.0 * width[-1] * twist[-1])
     parts = above[:-1] + width * (slope / 2.0 + width * (bend / 3.0 + width * twist / 4.0))
     record = np.zeros(1, FORCE_TABLE)
@@ -68,9 +70,26 @@ def force_table(points: tuple[tuple[float, float], ...]) -> np.ndarray:
     return record
 
 
+def _cubics(
+    strokes: np.ndarray, above: np.ndarray, is_mirrored: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return twist, bend and slope at the start of each interval between points."""
+    # imported here: only scenes with a table need it
+    from scipy.interpolate import PchipInterpolator
+
+    first = 0
+    if is_mirrored:
+        # the slope at rest is that of the mirrored curve
+        first = len(strokes) - 1
+        strokes = np.concatenate([-strokes[:0:-1], strokes])
+        above = np.concatenate([-above[:0:-1], above])
+    twist, bend, slope, _ = (row[first:] for row in PchipInterpolator(strokes, above).c)
+    return twist, bend, slope
+
+
 @kernel
 def tabulated_spring(stroke, table):
-    """Return force (N, above that at rest), stiffness (N/m) and energy (J) of a tabulated spring.
+    """Return force (N), stiffness (N/m) and energy (J) of a table at a stroke.
 
     Outwards, ``stroke`` < 0, the force is that of the mirrored curve.
     """
@@ -95,3 +114,26 @@ def tabulated_spring(stroke, table):
         at_point + u * (slope / 2.0 + u * (bend / 3.0 + u * twist / 4.0))
     )
     return (force if stroke > 0.0 else -force), stiffness, energy
+
+
+@kernel
+def tabulated_depth(energy, table):
+    """Return the stroke (m, above 0) at which a table has stored an energy (J)."""
+    k = table.count - 1
+    while k > 0 and table.energy[k] > energy:
+        k -= 1
+    left = energy - table.energy[k]
+    force, slope = table.force[k], table.slope[k]
+    if k == table.count - 1:
+        return table.stroke[k] + 2.0 * left / (
+            force + math.sqrt(force * force + 2.0 * slope * left)
+        )
+    low, high = table.stroke[k], table.stroke[k + 1]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        _, _, stored = tabulated_spring(middle, table)
+        if stored < energy:
+            low = middle
+        else:
+            high = middle
+    return high

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from capture_sim.base.compiled.kernels import kernel
-from capture_sim.dynamics.model.contact import raised_depth
+from capture_sim.dynamics.model.contact import elastic_contact_energy
 from capture_sim.dynamics.model.equations import (
     AXIAL,
     FRICTION,
@@ -52,14 +52,6 @@ def kinetic_energy(y, par):
 
 
 @kernel
-def elastic_contact_energy(gap, K, exponent):
-    """Return the elastic energy of a contact, J: K delta^(p + 1) / (p + 1), of a depth -gap."""
-    if gap >= 0.0:
-        return 0.0
-    return -K * gap * raised_depth(-gap, exponent) / (exponent + 1.0)
-
-
-@kernel
 def mechanical_energy(y, system):
     """Return the kinetic energy, and that of the springs of buffer, stops, contact and latch, J."""
     par, mode = system.par, system.mode
@@ -71,7 +63,7 @@ def mechanical_energy(y, system):
     for i in range(2):
         if mode.touch[i].on:
             gap, _, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
-            energy += elastic_contact_energy(gap, par.K, par.exponent)
+            energy += elastic_contact_energy(gap, par.contact)
     return energy
 
 
@@ -133,7 +125,7 @@ def observe(t, y, w, sample):
         sample.friction_force[i] = out.friction_force[i] if mode.touch[i].on else 0.0
         sample.impulse[i] = y[IMPULSE + i]
         if mode.touch[i].on:
-            contact += elastic_contact_energy(gap, par.K, par.exponent)
+            contact += elastic_contact_energy(gap, par.contact)
     sample.contact_force[0] = 0.0 if mode.latched else gx
     sample.contact_force[1] = 0.0 if mode.latched else gy
     sample.contact_torque = 0.0 if mode.latched else tip

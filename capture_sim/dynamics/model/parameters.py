@@ -7,7 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.dynamics.model.contact import FRICTION_LAWS, HERTZ, HYSTERESIS_FACTOR
+from capture_sim.dynamics.model.contact import (
+    CONTACT,
+    FRICTION_LAWS,
+    HYSTERESIS_FACTOR,
+    measured_law,
+    power_law,
+)
 from capture_sim.dynamics.model.force_table import FORCE_TABLE, force_table
 from capture_sim.dynamics.model.supports import BALLS, ball_rows
 from capture_sim.scene.ball_loads import LOADS, loads
@@ -53,8 +59,7 @@ PARAMETERS = np.dtype(
         ("L_c", "f8"),
         ("cos_b", "f8"),
         ("sin_b", "f8"),
-        ("K", "f8"),  # N/m^exponent; 0: the walls do not act
-        ("exponent", "f8"),  # of the penetration
+        ("contact", CONTACT),  # elastic force of the walls
         ("chi", "f8"),  # hysteresis damping of every touch, N s/m^(exponent + 1); 0: from a(e)
         ("hysteresis", "f8"),  # a(e)
         ("v_0_floor", "f8"),
@@ -150,8 +155,6 @@ def _contact(scene: Scene) -> dict[str, Any]:
     return {
         "R_t": R_t,
         "length_scale": R_t,
-        "K": scene.contact_stiffness,
-        "exponent": HERTZ,
         "hysteresis": hysteresis,
         "v_0_floor": contact.min_approach_speed,
     }
@@ -247,7 +250,16 @@ def pack(
     record = np.array([tuple(p.values())], PARAMETERS)
     if scene.buffer.force_table is not None:
         record["force_table"] = force_table(scene.buffer.force_table)
+    record["contact"] = contact_law(scene)
     return record
+
+
+def contact_law(scene: Scene) -> np.ndarray:
+    """Return the (1,) record of a scene's walls, of dtype CONTACT."""
+    contact = scene.contact
+    if contact.force_table is not None:
+        return measured_law(contact.force_table)
+    return power_law(scene.contact_stiffness, contact.exponent)
 
 
 #: Lower limit of the speed scale of free vehicles, m/s; round-off of positions (1e-17 m) over the

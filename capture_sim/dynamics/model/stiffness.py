@@ -6,6 +6,17 @@ import math
 
 import numpy as np
 
+from capture_sim.base.compiled.kernels import plain
+from capture_sim.dynamics.model.contact import contact_slope
+
+_contact_slope = plain(contact_slope)
+#: What a contact's stiffness follows from, in the order of their precedence.
+_TABLE, _GIVEN, _MATERIALS = (
+    "contact.force_table",
+    "contact.stiffness",
+    "contact.tip.E, contact.wall.E",
+)
+
 
 def stiffest_part(
     par: np.void,
@@ -13,25 +24,29 @@ def stiffest_part(
     chi: float = 0.0,
     force: float = 0.0,
     y: np.ndarray | None = None,
+    given_stiffness: bool = False,
 ) -> tuple[str, float] | None:
     """Return the part with the shortest time constant, its fields in parentheses, and that time, s.
 
     None without springs and dampers.  A spring k at a mass m has sqrt(m / k), a damper c has m / c;
     steps of an explicit method cannot be much longer.  ``penetration`` (m), ``chi`` (N s/m^2.5) and
     ``force`` (N) are those of the contact; without the state ``y`` the buffer is at rest.
+    ``given_stiffness`` is True where the scene has ``contact.stiffness``.
     """
     stroke = rate = torsion = twist = 0.0
     if y is not None:
         stroke, rate = float(y[4] - par["h_0"]), abs(float(y[12]))
         torsion, twist = float(y[3] - y[2]), abs(float(y[11] - y[10]))
-    penetration = max(penetration, 0.0)
+    slope = damping = 0.0
+    if penetration > 0.0:
+        law = np.array([par["contact"]]).view(np.recarray)[0]
+        slope, damping = _contact_slope(penetration, chi, law)
+    source = _TABLE if par["contact"]["table"]["count"] else _MATERIALS
+    source = _GIVEN if given_stiffness else source
     m = float(par["m_P"])
     inertia = float(par["hinge_inertia_0"] + m * (par["h_0"] - par["d"]) ** 2)
     springs = {
-        "contact (probe.density, contact.tip.E, contact.wall.E)": (
-            m,
-            par["exponent"] * par["K"] * penetration ** (par["exponent"] - 1.0),
-        ),
+        f"contact (probe.density, {source})": (m, slope),
         "axial spring (probe.density, buffer.k_A)": (m, par["k_A"]),
         "progressive axial spring (probe.density, buffer.k_A3)": (m, 3.0 * par["k_A3"] * stroke**2),
         "tabulated axial spring (probe.density, buffer.force_table)": (
@@ -47,10 +62,7 @@ def stiffest_part(
         "latch (probe.density, latch.stiffness)": (m, par["k_L"]),
     }
     dampers = {
-        "contact's damping (contact.law, contact.restitution)": (
-            m,
-            chi * penetration ** par["exponent"],
-        ),
+        "contact's damping (contact.law, contact.restitution)": (m, damping),
         "axial damper (probe.density, buffer.c_A)": (m, par["c_A"]),
         "axial damper outwards (probe.density, buffer.c_A_rebound)": (m, par["c_A_rebound"]),
         "axial orifice (probe.density, buffer.c_A2)": (m, 2.0 * par["c_A2"] * rate),
