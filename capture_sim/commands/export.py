@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from capture_sim.base.exit_status import OK
-from capture_sim.commands.inputs import add_remaps, is_bag, open_bag, prepare_folder
+from capture_sim.commands.inputs import add_remaps, open_bag, prepare_folder
 from capture_sim.commands.output import echo, warn
 from capture_sim.errors import RecordingError
 from capture_sim.recording.export import KINDS, readable, save_tables, tables_of
@@ -74,5 +74,7 @@ def _folder_beside(recording: Path, to: str) -> Path:
     """Return the default folder of tables: next to the recording, never inside a bag."""
     if to == "npz":
         return recording.parent
+    from capture_sim.recording.bag_folder import is_bag
+
     folder = recording if recording.is_dir() else recording.with_suffix("")
     return folder.with_name(f"{folder.name}_tables") if is_bag(folder) else folder

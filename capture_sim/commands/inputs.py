@@ -328,14 +328,9 @@ def is_recording(source: str) -> bool:
     """
     if source.endswith(".mcap"):
         return True
-    return source not in scene_names() and is_bag(Path(source))
+    from capture_sim.recording.bag_folder import is_bag, is_bag_file
 
-
-def is_bag(folder: Path) -> bool:
-    """Return True if a path is a folder with a recording in it."""
-    if not folder.is_dir():
-        return False
-    return (folder / "metadata.yaml").is_file() or any(folder.glob("*.mcap"))
+    return source not in scene_names() and (is_bag_file(source) or is_bag(Path(source)))
 
 
 def load(source: str, overrides: Sequence[str] = ()) -> Scene:
@@ -452,12 +447,11 @@ def _refuse_several_runs(bag: Bag) -> None:
 
 def _recordings_in(folder: Path) -> list[Path]:
     """Return the files of a folder that is no bag but holds recordings; empty for any other."""
-    from capture_sim.recording.bag_file import FILE_NAME
-    from capture_sim.recording.contents import bag_files
+    from capture_sim.recording.bag_folder import FILE_NAME, bag_files
 
     if not folder.is_dir() or (folder / FILE_NAME).is_file():
         return []
-    return bag_files(folder)
+    return list(bag_files(folder).files)
 
 
 def _one_run_each(source: str) -> list[str]:
@@ -576,8 +570,9 @@ def _opened(source: str, scene: str | None, release: float | None, remaps: Seque
     run = open_or_simulate(source, remaps, scene=scene, release=release)
     if not is_recording(source):
         return run
-    place = Path(source).resolve()  # the path may be . or end in ..
-    return run.replaced(name=place.stem if source.endswith(".mcap") else place.name)
+    from capture_sim.recording.bag_folder import stem_of
+
+    return run.replaced(name=stem_of(Path(source).resolve()))  # the path may be . or end in ..
 
 
 def _simulated(name: str) -> Run:

@@ -10,7 +10,13 @@ from typing import Any
 import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.typesys import (
+    Stores,
+    TypesysError,
+    get_types_from_idl,
+    get_types_from_msg,
+    get_typestore,
+)
 from rosbags.typesys.store import Typestore
 
 from capture_sim.base.resources import message_dir
@@ -20,6 +26,8 @@ from capture_sim.messages.standard import STANDARD
 from capture_sim.messages.topics import Topic
 
 _PACKAGE = "capture_sim"
+#: Encodings of definitions in OMG's interface description language.
+_IDL = ("ros2idl", "omgidl")
 #: Errors of a text that defines no message type.
 NO_DEFINITION = (TypesysError, ValueError, KeyError, RecursionError)
 
@@ -40,17 +48,21 @@ def typestore() -> Typestore:
 
 
 @lru_cache(maxsize=100)
-def store_of(type_name: str, definition: str) -> Typestore:
-    """Return a store that knows a type by a file's definition of it, a ros2msg text.
+def store_of(type_name: str, definition: str, encoding: str = "ros2msg") -> Typestore:
+    """Return a store that knows a type by a file's definition of it, in ros2msg or ros2idl.
 
-    That of this version if its definition is the same.  One of :data:`NO_DEFINITION` if the text
-    is none.
+    That of this version if its definition is the same, or if the file has none and the type is of
+    a common package.  One of :data:`NO_DEFINITION` if the text is none.
     """
     store = typestore()
-    if type_name in store.fielddefs and definition == schema_text(type_name):
+    is_own = type_name.startswith(f"{_PACKAGE}/")
+    is_missing = not definition.strip() and not is_own
+    if type_name in store.fielddefs and (is_missing or definition == schema_text(type_name)):
         return store
     store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(definition, type_name))
+    is_idl = encoding in _IDL
+    types = get_types_from_idl(definition) if is_idl else get_types_from_msg(definition, type_name)
+    store.register(types)
     return store
 
 

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable, Mapping
-from typing import Any
 
 from rosbags.typesys.store import Typestore
 
 from capture_sim.detection.measurements import Source, Values
-from capture_sim.errors import MessageError
-from capture_sim.messages.cdr import Layout, Numbers
-from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
-from capture_sim.messages.definitions import decoded, typestore
+from capture_sim.messages.cdr import Numbers
+from capture_sim.messages.definitions import typestore
+from capture_sim.messages.joints import JointReader
 from capture_sim.messages.topics import (
     BUFFER_STATE,
     CHASER_ODOMETRY,
@@ -26,10 +23,6 @@ from capture_sim.messages.topics import (
 from capture_sim.scene.parts import Scene
 
 Planar = tuple[float, float, float]
-#: Of a serialised message: the encapsulation's length, and a stamp's and a number's bytes.
-_ENCAPSULATION = 4
-_STAMP, _DOUBLE = struct.Struct("<iI"), struct.Struct("<d")
-_AFTER_STAMP = _ENCAPSULATION + _STAMP.size
 
 #: What a bench without simulator may measure; of each source the first topic that comes is used.
 TOPICS_OF_SOURCE = {
@@ -68,12 +61,13 @@ class MeasurementReader:
         numbers = _NUMBERS.get(topic.type_name, ())
         self._numbers = Numbers(self._store, topic.type_name, *STAMP, *numbers)
         self._last: tuple[bytes, tuple[int, Values]] | None = None
-        self._joints = _Joints(self._store) if topic is JOINT_STATES else None
+        self._joints = JointReader(self._store) if topic is JOINT_STATES else None
 
     def __call__(self, data: bytes) -> tuple[int, Values]:
         """Return the stamp, ns, and the values of the topic's `Source`.
 
-        MessageError if the bytes are no such message, NoJointsError if it has no such joints.
+        MessageError if the bytes are no such message, NoJointsError if it has no such joints or
+        waits for the message of another joint.
         """
         if self._last is None or data is not self._last[0]:  # several ask for the same message
             self._last = data, self._read(data)
@@ -138,57 +132,6 @@ class DetectorInput:
                 if other is not topic:
                     del self._sources[other]
         return source, stamp, values
-
-
-class NoJointsError(MessageError):
-    """A JointState is of other joints than the buffer's."""
-
-
-class _Joints:
-    """Reads stamp and joints of sensor_msgs/JointState.
-
-    A driver names the same joints in every message: where their numbers stand is found again only
-    for a message whose texts differ from those of the one before.
-    """
-
-    def __init__(self, store: Typestore) -> None:
-        self._store = store
-        # of the message before: its length, and the parts of it that another must share
-        self._size, self._parts = 0, list[tuple[slice, bytes]]()
-        self._places: list[int] = []
-
-    def __call__(self, data: bytes) -> tuple[int, Values]:
-        if len(data) != self._size or any(data[part] != same for part, same in self._parts):
-            return self._find(data)
-        sec, nanosec = _STAMP.unpack_from(data, _ENCAPSULATION)
-        values = tuple([_DOUBLE.unpack_from(data, place)[0] for place in self._places])
-        return sec * 1_000_000_000 + nanosec, values
-
-    def _find(self, data: bytes) -> tuple[int, Values]:
-        message = decoded(JOINT_STATES, data, self._store)
-        values = _joints(message)
-        records = Layout(self._store, JOINT_STATES.type_name, data).records
-        fields = records.fields or {}
-        slide, hinge = (list(message.name).index(name) for name in (SLIDE_JOINT, HINGE_JOINT))
-        starts = [fields[name][1] for name in ("position", "velocity")[: len(values) // 2]]
-        self._places = [start + 8 * joint for start in starts for joint in (slide, hinge)]
-        first = fields["position"][1]
-        behind = first + 8 * len(message.position)  # the number of velocities
-        shared = slice(_ENCAPSULATION), slice(_AFTER_STAMP, first), slice(behind, behind + 4)
-        self._size, self._parts = len(data), [(part, data[part]) for part in shared]
-        stamp = message.header.stamp
-        return stamp.sec * 1_000_000_000 + stamp.nanosec, values
-
-
-def _joints(message: Any) -> Values:
-    """Return the state of the buffer from sensor_msgs/JointState; rates only if present."""
-    try:
-        slide, hinge = (list(message.name).index(name) for name in (SLIDE_JOINT, HINGE_JOINT))
-        rows = [message.position, *([message.velocity] if len(message.velocity) else [])]
-        values = tuple(float(row[joint]) for row in rows for joint in (slide, hinge))
-    except (ValueError, IndexError):
-        raise NoJointsError(f"joints: must be {SLIDE_JOINT} and {HINGE_JOINT}") from None
-    return values
 
 
 def pose_values(x: float, y: float, qz: float, qw: float) -> Planar:

@@ -161,7 +161,7 @@ class PlayerNode(BenchNode):
         """Play; return the exit status."""
         for name, reason in self._playback.left_out.items():
             self.get_logger().warning(f"{name}: not played: {reason}")
-        for line in (*self._playback.damage, *self._not_installed):
+        for line in (*self._playback.damage, *self._playback.doubts, *self._not_installed):
             self.get_logger().warning(line)
         for name in self._moving:
             self.get_logger().warning(f"{name}: not played: it moves a real chaser")

@@ -34,6 +34,7 @@ from capture_sim.messages.topics import (
     Topic,
     topic_named,
 )
+from capture_sim.recording.bag_folder import stem_of
 from capture_sim.recording.clock import Clock, Logged, find_clock, has_stamps, stamps_of
 from capture_sim.recording.contents import Contents, read_contents, rename_topics
 from capture_sim.recording.losses import is_cut, losses
@@ -45,7 +46,7 @@ from capture_sim.recording.recorded_bench import (
     trace_in,
 )
 from capture_sim.recording.recorded_topics import Columns, RecordedTopics
-from capture_sim.recording.scan import UNPACKED_RATIO
+from capture_sim.recording.records import UNPACKED_RATIO
 from capture_sim.recording.write import (
     END_METADATA,
     REMAPS,
@@ -89,7 +90,7 @@ def read_bag(
     Raises
     ------
     RecordingError
-        The file cannot be read or is not an MCAP file, or a topic of ``remaps`` is not in it.
+        The file cannot be read or is of another kind, or a topic of ``remaps`` is not in it.
     """
     path = Path(path)
     contents = read_contents(path, ratio)
@@ -140,7 +141,7 @@ class Bag(RecordedTopics):
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """One line for every topic that is left out, and one for a recording by a newer version."""
+        """One line for all that is left out or odd, and one for a recording by a newer version."""
         newer = [] if not self.newer_version else [newer_line(self.newer_version)]
         reasons = dict(self._contents.left_out)
         for name, messages in self._contents.messages.items():
@@ -148,7 +149,7 @@ class Bag(RecordedTopics):
             if topic is not None and messages and topic.type_name != type_name:
                 reasons[name] = f"type = {type_name or 'none'}: must be {topic.type_name}"
         left_out = (f"{topic}: left out: {reason}" for topic, reason in reasons.items())
-        return *newer, *left_out
+        return *newer, *left_out, *self._contents.doubts
 
     @property
     def newer_version(self) -> str:
@@ -184,7 +185,7 @@ class Bag(RecordedTopics):
     @property
     def name(self) -> str:
         """Name of the experiment; of the file if that has none."""
-        return self.metadata.get("name", self.path.stem)
+        return self.metadata.get("name") or stem_of(self.path)
 
     @property
     def run_id(self) -> str:

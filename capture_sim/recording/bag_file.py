@@ -13,10 +13,6 @@ from mcap.writer import Writer
 from capture_sim.messages.convert import EPOCH_NS
 from capture_sim.messages.topics import Topic
 
-#: The file that rosbag2 looks for in a bag's folder.
-FILE_NAME = "metadata.yaml"
-#: The key of all its contents.
-IN_FOLDER = "rosbag2_bagfile_information"
 #: Name of the metadata record that rosbag2 reads.
 BAG_METADATA = "rosbag2"
 #: Uncompressed size of a chunk, bytes: what a kill can lose at most.
@@ -96,7 +92,7 @@ class BagFile:
         self.writer.finish()
 
     def _metadata(self, custom: Mapping[str, str]) -> dict[str, object]:
-        """Return the contents of ``metadata.yaml`` under :data:`IN_FOLDER`."""
+        """Return the contents of ``metadata.yaml`` under rosbag2's key."""
         counts = self.counts
         first, last = self.span or (EPOCH_NS, EPOCH_NS)
         span = {

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
-import yaml
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from capture_sim.errors import RecordingError
-from capture_sim.recording.bag_file import FILE_NAME, IN_FOLDER
-from capture_sim.recording.scan import UNPACKED_RATIO, Damage, RecordContents, scan
+from capture_sim.recording.bag_folder import bag_files
+from capture_sim.recording.log_times import settle
+from capture_sim.recording.records import UNPACKED_RATIO, Damage, RecordContents
+from capture_sim.recording.scan import scan
 
 #: Encoding of ROS 2 messages.
 CDR = "cdr"
@@ -21,19 +22,21 @@ CDR = "cdr"
 
 @dataclass
 class Contents:
-    """All that is in the data section of a file."""
+    """All that is in the data sections of a recording's files."""
 
     types: dict[str, str] = field(default_factory=dict)  # message type by topic
     # quality of service by topic, YAML as rosbag2 writes it; empty when not recorded
     qos: dict[str, str] = field(default_factory=dict)
     schemas: dict[str, str] = field(default_factory=dict)  # definition text by message type
+    encodings: dict[str, str] = field(default_factory=dict)  # ... and its language, e.g. ros2msg
     # serialised messages by topic, in the order of their log times
     messages: dict[str, list[bytes]] = field(default_factory=dict)
     log_times: dict[str, list[int]] = field(default_factory=dict)  # their log times, ns, ascending
     attachments: dict[str, bytes] = field(default_factory=dict)  # by name
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # by name
-    # why messages were left out, by topic as it may be printed
+    # why messages were left out, by topic as it may be printed, or why a file was, by its name
     left_out: dict[str, str] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()  # what is odd in messages that are used
     damage: tuple[str, ...] = ()  # why files were not read to their ends
     # the metadata at the end is under the checksum of the data section
     has_verified_end: bool = True
@@ -42,19 +45,32 @@ class Contents:
 def read_contents(path: Path, ratio: float = UNPACKED_RATIO) -> Contents:
     """Read a file, or a bag's folder of files, each up to its first damage.
 
-    ``ratio`` is how many times its size a file may unpack to.  RecordingError if a file cannot be
-    read or is not an MCAP file.
+    ``ratio`` is how many times its size a file may unpack to.  RecordingError if no file can be
+    read.
     """
     contents = Contents()
-    for file in bag_files(path):
-        reader = _Reader(contents)
-        for part in scan(file, ratio):
-            if isinstance(part, Damage):
-                name = f"{file.name}: " if path.is_dir() else ""
-                contents.damage += (f"{name}{part}",)
-                contents.has_verified_end &= part.in_index
-            else:
-                reader.add(part)
+    files, left_out, doubts = bag_files(path)
+    contents.left_out.update(left_out)
+    rejected: Counter[tuple[str, str]] = Counter()
+    errors = []
+    for file in files:
+        reader = _Reader(contents, rejected)
+        try:
+            for part in scan(file, ratio):
+                if isinstance(part, Damage):
+                    name = f"{file.name}: " if path.is_dir() else ""
+                    contents.damage += (f"{name}{part}",)
+                    contents.has_verified_end &= part.in_index
+                else:
+                    reader.add(part)
+        except RecordingError as error:
+            errors.append(error)
+            contents.damage += (str(error).removeprefix(f"{file.parent}/"),)
+            contents.has_verified_end = False
+    if len(errors) == len(files):
+        raise errors[0]
+    _note_rejected(contents, rejected)
+    contents.doubts = (*doubts, *settle(contents.log_times))
     for topic, times in contents.log_times.items():
         if any(later < time for time, later in pairwise(times)):
             order = sorted(range(len(times)), key=times.__getitem__)
@@ -63,24 +79,17 @@ def read_contents(path: Path, ratio: float = UNPACKED_RATIO) -> Contents:
     return contents
 
 
-def bag_files(path: Path) -> list[Path]:
-    """Return the files of a bag in order; for a file that file alone.
-
-    RecordingError if the folder contains none.
-    """
-    if not path.is_dir():
-        return [path]
-    try:
-        listed = yaml.safe_load((path / FILE_NAME).read_text(encoding="utf-8"))
-        names = listed[IN_FOLDER]["relative_file_paths"]
-        files = [path / Path(str(name)).name for name in names]  # nothing outside the folder
-    except OSError:  # the recorder was killed: the files are numbered
-        files = sorted(path.glob("[!.]*.mcap"), key=_number)
-    except (yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError):
-        raise RecordingError(f"{path / FILE_NAME}: not the metadata of a bag") from None
-    if not files:
-        raise RecordingError(f"{path}: contains no .mcap file")
-    return files
+def _note_rejected(contents: Contents, rejected: Mapping[tuple[str, str], int]) -> None:
+    totals: Counter[str] = Counter()
+    for (topic, _), number in rejected.items():
+        totals[topic] += number
+    for (topic, reason), number in rejected.items():
+        if topic in contents.messages:
+            total = totals[topic] + len(contents.messages[topic])
+            line = f"{number} of {total} messages: {reason}"
+            contents.left_out[topic] = "; ".join(
+                filter(None, (contents.left_out.get(topic, ""), line))
+            )
 
 
 def rename_topics(contents: Contents, recorded_names: Mapping[str, str]) -> None:
@@ -113,16 +122,13 @@ def why_unreadable(channel: Channel, schema: Schema | None) -> str:
     return ""
 
 
-def _number(path: Path) -> tuple[int, str]:
-    digits = path.stem.rsplit("_", 1)[-1]
-    return (int(digits) if digits.isdecimal() and len(digits) < 10 else -1, path.name)
-
-
 class _Reader:
     """Reads one file into the contents of all."""
 
-    def __init__(self, contents: Contents) -> None:
+    def __init__(self, contents: Contents, rejected: Counter[tuple[str, str]]) -> None:
         self._contents = contents
+        self._rejected = rejected  # numbers of messages by topic and reason
+        self._topics: dict[int, str] = {}  # by channel
         self._schemas: dict[int, Schema] = {}
         # messages and log times by channel; those that are left out are discarded
         self._lists: dict[int, tuple[list[bytes] | deque[bytes], list[int] | deque[int]]] = {}
@@ -143,9 +149,12 @@ class _Reader:
             messages, times = lists[channel]
             messages.append(message)
             times.append(log_time)
+        for channel, why in record.rejected:
+            self._rejected[self._topics[channel], why] += 1
 
     def _add_channel(self, channel: Channel) -> None:
         topic, contents = channel.topic, self._contents
+        self._topics[channel.id] = topic
         schema = self._schemas.get(channel.schema_id)
         reason = why_unreadable(channel, schema)
         if not reason and channel.message_encoding != CDR:  # the type does not describe other bytes
@@ -155,7 +164,10 @@ class _Reader:
             contents.left_out[topic if topic.isprintable() else repr(topic)] = reason
             return
         if schema is not None:
-            contents.schemas[schema.name] = schema.data.decode("utf-8", errors="replace")
+            text = schema.data.decode("utf-8", errors="replace")
+            if text or schema.name not in contents.schemas:
+                contents.schemas[schema.name] = text
+                contents.encodings[schema.name] = schema.encoding
         contents.types.setdefault(topic, "" if schema is None else schema.name)
         contents.qos[topic] = channel.metadata.get("offered_qos_profiles", "")
         messages = contents.messages.setdefault(topic, [])

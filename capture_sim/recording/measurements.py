@@ -137,6 +137,11 @@ def received_in(bag: Bag, scene: Scene | None) -> list[Received]:
                 f"{bag.path}: contains no {' or '.join(names)}, which the detector needs; --remap "
                 "reads it from another topic"
             )
+    for source in Source:
+        used = [topic for topic, of in reader.topics.items() if of is source and bag.has(topic)]
+        lines = [f"{topic.name}: {bag.unused(topic)}" for topic in used if not bag.measures(topic)]
+        if lines and len(lines) == len(used):
+            raise RecordingError(f"{bag.path}: {'; '.join(lines)}")
     received = []
     for log_time, topic, data in sorted(messages, key=lambda message: message[0]):
         if not begin <= log_time <= end:

@@ -37,6 +37,8 @@ class Playback:
         self.damage = contents.damage
         #: Why messages cannot be played, by topic.
         self.left_out = contents.left_out
+        #: What is odd in messages that are played, a line each.
+        self.doubts = contents.doubts
         #: Number of messages by topic.
         self.counts = {name: len(messages) for name, messages in contents.messages.items()}
         self._translations = dict(self._translated())
@@ -55,7 +57,8 @@ class Playback:
             if topic is None or topic.type_name != type_name or not self.counts[name]:
                 continue
             with suppress(*NO_DEFINITION):  # without a definition, of this version or not at all
-                store = store_of(type_name, self._contents.schemas.get(type_name, ""))
+                encoding = self._contents.encodings.get(type_name, "")
+                store = store_of(type_name, self._contents.schemas.get(type_name, ""), encoding)
                 if store.fielddefs.get(type_name) != typestore().fielddefs[type_name]:
                     try:
                         yield name, Translation(store, type_name)

@@ -37,7 +37,7 @@ def read_run(
     remaps: Mapping[str, str] | None = None,
     release: float | None = None,
 ) -> Run:
-    """Read a recorded run: an MCAP file or a bag's folder, of the suite or of a real bench.
+    """Read a recorded run: an MCAP or .db3 file or a bag's folder, of the suite or of a real bench.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def read_run(
     Raises
     ------
     RecordingError
-        The file cannot be read, is not an MCAP file or contains several runs, a topic of
+        The file cannot be read, is of another kind or contains several runs, a topic of
         ``remaps`` is not in it, or ``release`` is outside of it.
     SceneError
         The recorded scene is invalid in this version.

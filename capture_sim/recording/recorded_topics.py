@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,8 @@ from capture_sim.errors import MessageError, RecordingError
 from capture_sim.messages.cdr import Layout, columns
 from capture_sim.messages.definitions import NO_DEFINITION, store_of
 from capture_sim.messages.evolution import absent_fields, completed
-from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader, NoJointsError
+from capture_sim.messages.joints import JointWaitsError, NoJointsError
+from capture_sim.messages.measurements import OF_A_BENCH, MeasurementReader
 from capture_sim.messages.topics import (
     Topic,
     topic_named,
@@ -38,6 +41,7 @@ class RecordedTopics:
         self._columns: dict[str, Columns] = {}  # as in the file
         self._completed: dict[Topic, Columns] = {}
         self._measured: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._unused: dict[str, Counter[str]] = {}  # messages without a measurement, by reason
 
     @property
     def topics(self) -> dict[str, int]:
@@ -134,7 +138,7 @@ class RecordedTopics:
         """Return a store that knows the type as this file defines it."""
         text = self._contents.schemas.get(type_name, "")
         try:
-            return store_of(type_name, text)
+            return store_of(type_name, text, self._contents.encodings.get(type_name, ""))
         except NO_DEFINITION as error:
             reason = " ".join(str(error).split())
             raise RecordingError(
@@ -167,31 +171,64 @@ class RecordedTopics:
         """Return stamps (n,), ns, values (n, m) and log times (n,), ns, of a detector's source.
 
         Rates that a message lacks are NaN.  Messages that cannot be decoded, and those of other
-        joints, are left out; MessageError if none can be decoded.
+        joints, are left out (:meth:`unused`); MessageError if none can be decoded.
         """
         if topic.name not in self._measured:
             self._measured[topic.name] = self._measurements(topic)
         return self._measured[topic.name]
+
+    def measures(self, topic: Topic) -> bool:
+        """Return True if a message of a detector's source gives a measurement, finite or not."""
+        try:
+            return self.measured(topic)[0].size > 0
+        except MessageError:
+            return False
+
+    def unused(self, topic: Topic) -> str:
+        """Return how many messages of a detector's source give no measurement, and why.
+
+        Empty if all do.
+        """
+        if not self.holds(topic):
+            return ""
+        with suppress(MessageError):
+            values = self.measured(topic)[1]
+            counts = self._unused[topic.name].copy()
+            size = OF_A_BENCH[topic].size
+            if n := int(np.count_nonzero(~np.isfinite(values[:, :size]).all(axis=1))):
+                counts["not finite"] += n
+            total = self.topics[self._resolved(topic)]
+            return "; ".join(f"{n} of {total} messages: {why}" for why, n in counts.most_common(3))
+        return "no message can be decoded"
 
     def _measurements(self, topic: Topic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         messages = self.raw(topic)
         store = self.store_of_topic(topic) if messages else self.store_for(topic.type_name)
         read = MeasurementReader(topic, store)
         rows, size, first_error = [], OF_A_BENCH[topic].size, None
+        unused = self._unused[topic.name] = Counter()
+        waiting: Counter[str] = Counter()
         for log_time, data in zip(self.log_times(topic).tolist(), messages, strict=True):
             try:
                 stamp, values = read(data)
-            except NoJointsError:
+            except JointWaitsError as error:
+                waiting[str(error)] += 1
+                continue
+            except NoJointsError as error:
+                unused[str(error)] += 1
                 continue
             except MessageError as error:  # a damaged message must not hide the others
                 first_error = first_error or error
+                unused["cannot be decoded"] += 1
                 continue
             values += (math.nan,) * (2 * size - len(values))
             rows.append((stamp, log_time, values))
+        if not rows:
+            unused.update(waiting)
         if first_error is not None and not rows:
             raise self._unreadable(topic.name, first_error)
         stamps, log_times = (np.array([row[i] for row in rows], dtype=np.int64) for i in (0, 1))
-        return stamps, np.array([row[2] for row in rows]).reshape(-1, 2 * size), log_times
+        return stamps, np.array([row[2] for row in rows]).reshape(len(rows), 2 * size), log_times
 
     def _unreadable(self, name: str, error: MessageError) -> MessageError:
         return MessageError(f"{self.path}: {name.lstrip('/')}: {error}")

@@ -1,18 +1,17 @@
-"""The records of an MCAP file up to the first damage, checked, and unpacked within bounds."""
+"""The records of a recording's file up to the first damage, checked, and unpacked in bounds."""
 
 from __future__ import annotations
 
 import os
 import struct
+import tempfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
-import lz4.frame
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, InvalidMagic, McapError, RecordLengthLimitExceeded
 from mcap.opcode import Opcode
@@ -22,22 +21,33 @@ from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.writer import MCAP0_MAGIC
 
 from capture_sim.errors import RecordingError, one_line
+from capture_sim.recording import sqlite
+from capture_sim.recording.compression import (
+    DAMAGED,
+    TOO_LARGE,
+    is_compressed,
+    other_compression,
+    unpack,
+    unpacked,
+)
+from capture_sim.recording.records import (
+    MESSAGE_COST,
+    TIME_LIMIT,
+    UNPACKED_LEAST,
+    Damage,
+    RecordContents,
+    StoredMessage,
+    usable,
+)
 
-#: A file may unpack to so many times its size, and to UNPACKED_LEAST bytes in any case; the
-#: bench's own recordings unpack to about five times.
-UNPACKED_RATIO = 100.0
-UNPACKED_LEAST = 64 * 1024 * 1024
-#: Bytes that a message needs in memory besides its own.
-_MESSAGE_COST = 100
-#: Log times from here on (ns) do not fit into ROS's clock.
-_TIME_LIMIT = 1 << 63
+#: First bytes of a bag of ROS 1.
+_ROS_1 = b"#ROSBAG V"
+#: Bytes that tell the kind of a file.
+_LONGEST_MAGIC = 16
 
 _HEAD = struct.Struct("<BQ")  # opcode, length
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log and publish time (ns)
 
-#: A message: channel, log time (ns), bytes, publish time (ns), sequence.  The library's ``Message``
-#: takes several times as long to make.
-StoredMessage = tuple[int, int, bytes, int, int]
 #: What parsing of a damaged record may raise.
 _DAMAGE = (
     McapError,
@@ -45,8 +55,7 @@ _DAMAGE = (
     ValueError,
     MemoryError,
     OverflowError,
-    RuntimeError,  # lz4's
-    zstandard.ZstdError,
+    *DAMAGED,
 )
 #: ... because the file ends within it, or a length in it is wrong.
 _INCOMPLETE = (
@@ -58,48 +67,68 @@ _INCOMPLETE = (
 )
 
 
-class RecordContents(NamedTuple):
-    """What a record of the data section contains; a chunk contains several."""
-
-    entries: Sequence[Schema | Channel | Attachment | Metadata]
-    messages: Sequence[StoredMessage] = ()
-
-
-class Damage(NamedTuple):
-    """Why a file was not read to its end, and how far it was read."""
-
-    start: int  # first byte that was not read
-    size: int  # of the file, bytes
-    reason: str
-    messages: int  # messages read
-    written: int | None  # messages written, if the file's index is intact and reports them
-    duration: float  # s, from the first log time to the last that was read
-    in_index: bool  # the data section before it is complete, with the right checksum if it has one
-
-    def __str__(self) -> str:
-        total = "" if self.written is None else f" of {self.written}"
-        text = f"read up to byte {self.start} of {self.size} ({self.reason}): "
-        text += f"{self.messages}{total} messages"
-        return text + (f", the last {self.duration:.3f} s after the first" if self.messages else "")
-
-
 def scan(path: Path, ratio: float) -> Iterator[RecordContents | Damage]:
-    """Yield the contents of an MCAP file's data section; last its damage, if it has any.
+    """Yield the contents of a recording's file; last its damage, if it has any.
 
+    It may be an MCAP file or the .db3 file of a bag, each also compressed by zstd or lz4.
     ``ratio`` is how many times its size the file may unpack to.  RecordingError if the file cannot
-    be read or is not an MCAP file.
+    be read or is of another kind.
     """
     try:
         # without opening a file without a size: a pipe would block
         if not path.is_dir() and not path.stat().st_size:
-            raise RecordingError(f"{path}: not an MCAP file")
+            raise RecordingError(f"{path}: not an MCAP file: it is empty")
         with path.open("rb") as file:
-            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                raise RecordingError(f"{path}: not an MCAP file")
-            file.seek(0)
-            yield from _contents_of_file(file, os.fstat(file.fileno()).st_size, ratio)
+            size = os.fstat(file.fileno()).st_size
+            limit = int(max(UNPACKED_LEAST, ratio * size))
+            if is_compressed(file.read(_LONGEST_MAGIC)):
+                yield from _contents_of_compressed(file, path, limit)
+            else:
+                yield from _contents_of_plain(file, path, path, size, limit)
     except OSError as error:
         raise RecordingError(f"{path}: cannot read: {error.strerror or error}") from None
+
+
+def _contents_of_compressed(
+    file: IO[bytes], path: Path, limit: int
+) -> Iterator[RecordContents | Damage]:
+    file.seek(0)
+    with tempfile.NamedTemporaryFile(prefix="capture_sim_") as plain:
+        reason = unpack(file, plain, limit)
+        plain.flush()
+        size = plain.tell()
+        parts = _contents_of_plain(plain, Path(plain.name), path, size, limit, reason)
+        for part in parts:
+            if reason and isinstance(part, Damage):
+                part = part._replace(reason=f"{part.reason}; {reason}")
+            yield part
+
+
+def _contents_of_plain(
+    file: IO[bytes], path: Path, named: Path, size: int, limit: int, reason: str = ""
+) -> Iterator[RecordContents | Damage]:
+    """Yield the contents of a file that is not compressed; errors name it ``named``."""
+    file.seek(0)
+    head = file.read(_LONGEST_MAGIC)
+    file.seek(0)
+    if head.startswith(MCAP0_MAGIC):
+        yield from _contents_of_file(file, size, limit)
+    elif head.startswith(sqlite.MAGIC):
+        yield from sqlite.scan_sqlite(path, named, size, limit)
+    else:
+        raise RecordingError(f"{named}: not an MCAP file{_other_kind(head, named, reason)}")
+
+
+def _other_kind(head: bytes, path: Path, reason: str) -> str:
+    """Return what a file is that begins with some bytes, and what converts it; empty if unknown."""
+    if reason:
+        return f": {reason}"
+    if head.startswith(_ROS_1):
+        return f": a bag of ROS 1; convert it: rosbags-convert --src {path} --dst {path.stem}"
+    if found := other_compression(head):
+        name, command = found
+        return f": compressed by {name}; unpack it: {command} {path}"
+    return ""
 
 
 def head_metadata(path: Path) -> dict[str, Mapping[str, str]]:
@@ -114,11 +143,11 @@ def head_metadata(path: Path) -> dict[str, Mapping[str, str]]:
 
 
 def _contents_of_file(
-    file: IO[bytes], file_size: int, ratio: float
+    file: IO[bytes], file_size: int, limit: int
 ) -> Iterator[RecordContents | Damage]:
-    remaining = int(max(UNPACKED_LEAST, ratio * file_size))
+    remaining = limit
     channels: set[int] = set()
-    first, last, count = _TIME_LIMIT, 0, 0
+    first, last, count = TIME_LIMIT, 0, 0
     end, in_index = len(MCAP0_MAGIC), False
     try:
         reader = StreamReader(
@@ -129,15 +158,18 @@ def _contents_of_file(
             if not in_index:
                 contents = _contents_of_record(record, remaining)
                 size = record.uncompressed_size if isinstance(record, Chunk) else 0
-                remaining -= size + _MESSAGE_COST * len(contents.messages)
+                remaining -= size + MESSAGE_COST * len(contents.messages)
                 if remaining < 0:
-                    raise ValueError("it unpacks to more than is accepted for the file")
+                    raise ValueError(TOO_LARGE)
                 channels.update(each.id for each in contents.entries if isinstance(each, Channel))
                 if contents.messages:
-                    times = [message[1] for message in contents.messages]
-                    _check(contents.messages, times, channels)
-                    first, last = min(first, *times), max(last, *times)
-                    count += len(times)
+                    _check(contents.messages, channels)
+                    found = usable(contents.messages, remaining)
+                    remaining -= found.unpacked
+                    contents = contents._replace(messages=found.messages, rejected=found.rejected)
+                    if found.times:
+                        first, last = min(first, *found.times), max(last, *found.times)
+                        count += len(found.times)
                 yield contents
             end = file.tell()
         end = file.tell()
@@ -165,11 +197,8 @@ def _unpacked(chunk: Chunk, limit: int) -> bytes:
     size = chunk.uncompressed_size
     if size > limit:
         raise ValueError(f"a chunk unpacks to {size} bytes, more than is accepted for the file")
-    if chunk.compression == "zstd":
-        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as stream:
-            records = stream.read(size + 1)
-    elif chunk.compression == "lz4":
-        records = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    if chunk.compression in ("zstd", "lz4"):
+        records = unpacked(chunk.data, limit, size)
     elif not chunk.compression:
         records = chunk.data
     else:
@@ -208,9 +237,7 @@ def _records_in(data: bytes) -> RecordContents:
     return RecordContents(definitions, messages)
 
 
-def _check(messages: Sequence[StoredMessage], times: Sequence[int], channels: set[int]) -> None:
-    if max(times) >= _TIME_LIMIT:
-        raise ValueError(f"log time {max(times)} ns: must be below 2^63 ns")
+def _check(messages: Sequence[StoredMessage], channels: set[int]) -> None:
     if unknown := {message[0] for message in messages} - channels:
         raise ValueError(f"a message of unknown channel {min(unknown)}")
 

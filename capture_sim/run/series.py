@@ -48,7 +48,7 @@ def in_order(
     Values that are not finite are left out; of equal times the first message counts.  ``angle`` is
     the column of an angle, which is unwrapped.
     """
-    is_finite = np.isfinite(values.reshape(len(t), -1)).all(axis=1)
+    is_finite = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     t, first = np.unique(t[is_finite], return_index=True)
     values = values[is_finite][first]
     if angle is not None:

@@ -5,7 +5,8 @@ import pytest
 
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.messages.definitions import blank, typestore
-from capture_sim.messages.measurements import MeasurementReader, NoJointsError
+from capture_sim.messages.joints import NoJointsError
+from capture_sim.messages.measurements import MeasurementReader
 from capture_sim.messages.topics import JOINT_STATES
 
 OTHER = "wheel"

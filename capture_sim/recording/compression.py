@@ -1,0 +1,93 @@
+"""Compressed messages and files, unpacked within bounds."""
+
+from __future__ import annotations
+
+import zlib
+from io import BytesIO
+from typing import IO
+
+import lz4.frame
+import zstandard
+
+_ZSTD, _LZ4 = b"\x28\xb5\x2f\xfd", b"\x04\x22\x4d\x18"
+#: First bytes of what can be unpacked.  A CDR message begins with a byte of 0.
+MAGICS = (_ZSTD, _LZ4)
+#: What a damaged stream raises besides ValueError.
+DAMAGED = (zstandard.ZstdError, RuntimeError, EOFError, zlib.error)
+#: Kinds of compressed files that are named, not read: first bytes, name, command that unpacks.
+_OTHERS = (
+    (b"\x1f\x8b", "gzip", "gunzip -k"),
+    (b"BZh", "bzip2", "bunzip2 -k"),
+    (b"\xfd7zXZ\x00", "xz", "unxz -k"),
+)
+_PIECE = 1 << 20
+TOO_LARGE = "it unpacks to more than is accepted for the file"
+
+
+def is_compressed(data: bytes) -> bool:
+    """Return True if bytes begin as a zstd or lz4 frame does."""
+    return data.startswith(MAGICS)
+
+
+def other_compression(head: bytes) -> tuple[str, str] | None:
+    """Return the name of a compression that is not read, and the command that unpacks it."""
+    for magic, name, command in _OTHERS:
+        if head.startswith(magic):
+            return name, command
+    return None
+
+
+def unpacked(data: bytes, limit: int, size: int | None = None) -> bytes:
+    """Return unpacked bytes, at most ``limit``; ``size`` is how many there should be, if known.
+
+    ValueError if there are more, or the bytes are damaged.
+    """
+    if size is None:
+        known = zstandard.frame_content_size(data) if data.startswith(_ZSTD) else -1
+        size = known if known >= 0 else None
+    if size is not None and size > limit:
+        raise ValueError(TOO_LARGE)
+    try:
+        if size is not None and data.startswith(_ZSTD):
+            with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+                found = stream.read(size + 1)
+        elif size is not None and data.startswith(_LZ4):
+            found = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+        else:
+            out = BytesIO()
+            if reason := unpack(BytesIO(data), out, limit):
+                raise ValueError(reason)
+            return out.getvalue()
+    except DAMAGED as error:
+        raise ValueError(str(error)) from None
+    if len(found) != size:
+        raise ValueError("it unpacks to another size than its own")
+    return found
+
+
+def unpack(file: IO[bytes], out: IO[bytes], limit: int) -> str:
+    """Unpack a file, at most ``limit`` bytes; return why not all of it, empty if all."""
+    head = file.read(len(_ZSTD))
+    file.seek(0)
+    try:
+        if head == _ZSTD:
+            with zstandard.ZstdDecompressor().stream_reader(
+                file, read_across_frames=True, closefd=False
+            ) as stream:
+                reason = _copy(stream, out, limit)
+        else:
+            with lz4.frame.LZ4FrameFile(file) as stream:
+                reason = _copy(stream, out, limit)
+    except (*DAMAGED, ValueError, MemoryError) as error:
+        return f"damaged compression: {error}"
+    return reason
+
+
+def _copy(stream: IO[bytes], out: IO[bytes], limit: int) -> str:
+    written = 0
+    while piece := stream.read(_PIECE):
+        out.write(piece[: limit - written])
+        written += len(piece)
+        if written > limit:
+            return TOO_LARGE
+    return ""

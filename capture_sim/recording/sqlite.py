@@ -1,0 +1,98 @@
+"""The messages of a .db3 file, read by rosbags, as the records of an MCAP file."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+from mcap.records import Channel, Schema
+
+from capture_sim.errors import RecordingError, one_line
+from capture_sim.recording.compression import TOO_LARGE
+from capture_sim.recording.records import (
+    MESSAGE_COST,
+    Damage,
+    RecordContents,
+    StoredMessage,
+    usable,
+)
+
+MAGIC = b"SQLite format 3\x00"
+#: Messages that are read at a time.
+_BATCH = 1000
+_ENCODINGS = {"MSG": "ros2msg", "IDL": "ros2idl"}
+#: Characters that end a path in an URI, by which the library opens the file.
+_OF_URIS = frozenset("?#%")
+
+
+def scan_sqlite(
+    path: Path, named: Path, size: int, limit: int
+) -> Iterator[RecordContents | Damage]:
+    """Yield the contents of a bag's .db3 file; last its damage, if it has any.
+
+    ``limit`` is how many bytes its messages may have.  RecordingError, which names the file
+    ``named``, if it is no such file.
+    """
+    if _OF_URIS & set(str(path)):
+        with tempfile.TemporaryDirectory() as folder:
+            link = Path(folder, "bag.db3")
+            link.symlink_to(path.absolute())
+            yield from _scan(link, named, size, limit)
+        return
+    yield from _scan(path, named, size, limit)
+
+
+def _scan(path: Path, named: Path, size: int, limit: int) -> Iterator[RecordContents | Damage]:
+    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader  # 0.1 s, only for these files
+
+    reader = Sqlite3Reader(path)
+    try:
+        reader.open()
+    except Exception as error:  # whatever SQLite and the library make of foreign tables
+        raise RecordingError(f"{named}: not a bag of rosbag2: {_in_words(error, path)}") from None
+    count, first, last = 0, 0, 0
+    try:
+        for number, connection in enumerate(reader.connections, 1):
+            encoding = _ENCODINGS.get(connection.msgdef.format.name, "")
+            definition = connection.msgdef.data.encode()
+            yield RecordContents(
+                (
+                    Schema(number, definition, encoding, connection.msgtype),
+                    Channel(
+                        connection.id,
+                        connection.topic,
+                        getattr(connection.ext, "serialization_format", "cdr"),
+                        {},
+                        number,
+                    ),
+                )
+            )
+        stored = reader.messages(reader.connections)
+        while batch := list(islice(stored, _BATCH)):
+            messages: list[StoredMessage] = [
+                (connection.id, log_time, bytes(data), log_time, 0)
+                for connection, log_time, data in batch
+            ]
+            found = usable(messages, limit)
+            limit -= found.unpacked + sum(len(m[2]) + MESSAGE_COST for m in messages)
+            if limit < 0:
+                raise ValueError(TOO_LARGE)
+            if found.times:
+                first = min(found.times) if not count else min(first, *found.times)
+                last = max(last, *found.times)
+                count += len(found.times)
+            yield RecordContents((), found.messages, found.rejected)
+    except GeneratorExit:
+        raise
+    except Exception as error:
+        reason = _in_words(error, path)
+        yield Damage(None, size, reason, count, reader.metadata.message_count, (last - first) / 1e9)
+    finally:
+        reader.close()
+
+
+def _in_words(error: Exception, path: Path) -> str:
+    text = one_line(str(error) or type(error).__name__)
+    return text.removeprefix(f"Cannot open database {path}: ")
