@@ -212,8 +212,9 @@ def _prefixed(message: Any, _: float) -> None:
 
 def _joints_times(slide: float, hinge: float) -> Callable[[Any, float], None]:
     def change(message: Any, _: float) -> None:
-        message.position = message.position * [slide, hinge]
-        message.velocity = message.velocity * [slide, hinge]
+        factors = [slide if name == "buffer_slide" else hinge for name in message.name]
+        message.position = message.position * factors
+        message.velocity = message.velocity * factors
 
     return change
 

@@ -97,7 +97,13 @@ def run(options: argparse.Namespace) -> int:
     prepare_folder(options.out)
     sources = [options.a, *filter(None, [options.b])]
     runs = [
-        open_or_simulate(source, options.remaps, scene=options.scene, release=options.release)
+        open_or_simulate(
+            source,
+            options.remaps,
+            scene=options.scene,
+            release=options.release,
+            waived=options.waived,
+        )
         for source in sources
     ]
     labels = [f"{letter} {source}" for letter, source in zip("AB", sources, strict=False)]

@@ -47,7 +47,11 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     changed = _limits_changed(options.overrides)
     recorded = open_run(
-        options.recording, options.remaps, scene=options.scene, overrides=options.overrides
+        options.recording,
+        options.remaps,
+        scene=options.scene,
+        overrides=options.overrides,
+        waived=options.waived,
     )
     scene = recorded.scene
     judged_by = with_criteria(scene, recorded.criteria, changed)

@@ -94,6 +94,7 @@ def run(options: argparse.Namespace) -> int:
         scene=options.scene,
         overrides=options.overrides,
         release=options.release,
+        waived=options.waived,
     )
     scene = recorded.scene
     names = list(options.parameters)

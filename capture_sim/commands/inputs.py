@@ -199,6 +199,15 @@ def add_geometry(parser: argparse.ArgumentParser) -> None:
         metavar="SCENE",
         help="take the geometry from this scene (name or YAML file) if the recording contains none",
     )
+    parser.add_argument(
+        "--waive",
+        action="append",
+        default=[],
+        dest="waived",
+        metavar="RULE",
+        help="do not check this rule of plausibility (capture-sim inspect names those that are "
+        "broken); may be repeated",
+    )
 
 
 def add_release(parser: argparse.ArgumentParser) -> None:
@@ -401,8 +410,10 @@ def open_run(
     scene: str | None = None,
     overrides: Sequence[str] = (),
     release: float | None = None,
+    waived: Sequence[str] = (),
+    judges: bool = True,
 ) -> Run:
-    """Read a recorded run and print its problems.
+    """Read a recorded run; print its problems, and the series that are left out or doubted.
 
     Parameters
     ----------
@@ -416,11 +427,15 @@ def open_run(
         Changes of the scene.
     release
         From :func:`add_release`.
+    waived
+        Rules of plausibility that are not checked.
+    judges
+        False to open a run that breaks a rule of grade *refused*, too, as one that is only drawn.
 
     Raises
     ------
     RecordingError
-        It cannot be read, or contains several runs.
+        It cannot be read, contains several runs, or breaks a rule of grade *refused*.
     SceneError
         The scene or a change of it is invalid.
     """
@@ -428,10 +443,27 @@ def open_run(
 
     bag = open_bag(path, remaps, release=release)
     if scene is not None:
-        return run_of(bag, load_scene(scene, overrides))
-    if overrides and bag.has_scene:
-        return run_of(bag, load_scene_text(bag.scene_text, overrides))
-    return run_of(bag)
+        run = run_of(bag, load_scene(scene, overrides))
+    elif overrides and bag.has_scene:
+        run = run_of(bag, load_scene_text(bag.scene_text, overrides))
+    else:
+        run = run_of(bag)
+    return _checked(run, path, waived, judges=judges)
+
+
+def _checked(run: Run, path: str, waived: Sequence[str], *, judges: bool) -> Run:
+    """Return a run without the series that are left out; print a line for each and each doubt."""
+    from capture_sim.plausibility.rules import Grade
+    from capture_sim.run.doubts import refuse, remaining
+
+    run = run.replaced(waived=tuple(waived))
+    if judges:
+        refuse(path, run.doubts)
+    for doubt in run.doubts:
+        warn(f"{path}: {doubt.line}")
+    if any(doubt.grade is Grade.REFUSED for doubt in run.doubts):
+        warn(f"{path}: no verdict, as a rule of grade refused is broken")
+    return run.replaced(series=remaining(run.series, run.doubts))
 
 
 def _refuse_several_runs(bag: Bag) -> None:
@@ -470,6 +502,8 @@ def open_or_simulate(
     *,
     scene: str | None = None,
     release: float | None = None,
+    waived: Sequence[str] = (),
+    judges: bool = True,
 ) -> Run:
     """Open a recording and print its problems, or simulate a scene given by name.
 
@@ -483,13 +517,17 @@ def open_or_simulate(
         From :func:`add_geometry`: of a recording that contains no exact samples, or no scene.
     release
         From :func:`add_release`.
+    waived, judges
+        As of :func:`open_run`.
     """
     if not is_recording(source):
         return _simulated(source)
-    run = open_run(source, remaps, release=release)
+    from capture_sim.recording.read import run_of
+
+    run = run_of(open_bag(source, remaps, release=release))
     if scene is not None and not (run.is_exact and run.given_scene):
         run = run.replaced(given_scene=load_scene(scene))
-    return run
+    return _checked(run, source, waived, judges=judges)
 
 
 def open_runs(
@@ -497,6 +535,7 @@ def open_runs(
     scene: str | None,
     release: float | None = None,
     remaps: Sequence[str] = (),
+    waived: Sequence[str] = (),
 ) -> list[Run]:
     """Open recordings and print their problems, or run scenes given by name.
 
@@ -513,6 +552,8 @@ def open_runs(
         Release time on a real bench, s after the first pose; None to take it from the bag.
     remaps
         From :func:`add_remaps`.
+    waived
+        Rules of plausibility that are not checked.
 
     Raises
     ------
@@ -524,7 +565,7 @@ def open_runs(
     if scene is not None:
         load_scene(scene)  # also where every recording contains its own
     sources = [file for source in sources for file in _one_run_each(source)]
-    runs = [_opened(source, scene, release, remaps) for source in sources]
+    runs = [_opened(source, scene, release, remaps, waived) for source in sources]
     kept = _without_repetitions(runs, sources)
     runs, sources = [runs[k] for k in kept], [sources[k] for k in kept]
     names = _distinct_names(runs, sources)
@@ -566,8 +607,16 @@ def _distinct_names(runs: Sequence[Run], sources: Sequence[str]) -> list[str]:
     )
 
 
-def _opened(source: str, scene: str | None, release: float | None, remaps: Sequence[str]) -> Run:
-    run = open_or_simulate(source, remaps, scene=scene, release=release)
+def _opened(
+    source: str,
+    scene: str | None,
+    release: float | None,
+    remaps: Sequence[str],
+    waived: Sequence[str],
+) -> Run:
+    run = open_or_simulate(
+        source, remaps, scene=scene, release=release, waived=waived, judges=False
+    )
     if not is_recording(source):
         return run
     from capture_sim.recording.bag_folder import stem_of

@@ -37,7 +37,9 @@ def run(options: argparse.Namespace) -> int:
     page = out / "report.html" if out.is_dir() or not out.suffix else out
     prepare_folder(page.parent)
     with reported_if_interrupted(f"{page} is not written"):
-        runs = open_runs(options.runs, options.scene, options.release, options.remaps)
+        runs = open_runs(
+            options.runs, options.scene, options.release, options.remaps, options.waived
+        )
         with Progress("steps") as progress:
             saved = save_report(runs, page, partial(progress.at, "report"))
     echo(f"report in {saved}")

@@ -76,7 +76,9 @@ def run(options: argparse.Namespace) -> int:
             raise RecordingError(f"--save {options.save}: must end in .rrd")
         prepare_folder(options.save.parent)
     with reported_if_interrupted("nothing is written"):
-        runs = open_runs(options.runs, options.scene, options.release, options.remaps)
+        runs = open_runs(
+            options.runs, options.scene, options.release, options.remaps, options.waived
+        )
         if window is not None:
             # a run known from measurements alone cannot be simulated again
             runs = [resolved(run, window) if run.is_exact else run for run in runs]

@@ -23,6 +23,8 @@ from capture_sim.messages.topics import (
 from capture_sim.scene.parts import Scene
 
 Planar = tuple[float, float, float]
+#: Below this norm a quaternion is no orientation about z.
+_MIN_NORM = 1e-3
 
 #: What a bench without simulator may measure; of each source the first topic that comes is used.
 TOPICS_OF_SOURCE = {
@@ -135,7 +137,12 @@ class DetectorInput:
 
 
 def pose_values(x: float, y: float, qz: float, qw: float) -> Planar:
-    """Return x, y (m) and heading (rad) of a position and a quaternion about z."""
+    """Return x, y (m) and heading (rad) of a position and a quaternion about z.
+
+    The heading is NaN without a quaternion about z: of norm 0, or upside down.
+    """
+    if qz * qz + qw * qw < _MIN_NORM**2:
+        return x, y, math.nan
     return x, y, 2.0 * math.atan2(qz, qw)
 
 

@@ -149,6 +149,8 @@ def received_in(bag: Bag, scene: Scene | None) -> list[Received]:
         with suppress(MessageError):  # as in the node
             if measurement := reader.read(topic, data):
                 source, stamp, values = measurement
+                if stamp == 0:  # not set
+                    continue
                 arrival = None if bag.is_simulated else log_time - bag.clock.log_time
                 received.append(Received(source, stamp - bag.clock.release, values, arrival))
     return received

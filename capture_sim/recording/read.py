@@ -17,6 +17,7 @@ from capture_sim.messages.topics import (
     Topic,
 )
 from capture_sim.recording.bag import Bag, read_bag
+from capture_sim.recording.evidence import evidence_in
 from capture_sim.recording.export import tables_of
 from capture_sim.recording.measurements import (
     commanded_launch,
@@ -95,6 +96,7 @@ def run_of(bag: Bag, scene: Scene | None = None) -> Run:
         plan=Deferred(partial(commanded_launch, bag, scene)),
         tables=tables_of(bag),
         wall_time=bag.wall_time,
+        evidence=Deferred(partial(evidence_in, bag)),
     )
 
 

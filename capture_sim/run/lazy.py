@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
@@ -26,6 +26,12 @@ class LazyMapping(Mapping[str, T]):
 
     def __init__(self, makers: Mapping[str, Callable[[], T]]) -> None:
         self._values = {name: Deferred(make) for name, make in makers.items()}
+
+    def without(self, names: Collection[str]) -> LazyMapping[T]:
+        """Return the mapping without some names; no value is made for it."""
+        kept = LazyMapping[T]({})
+        kept._values = {name: value for name, value in self._values.items() if name not in names}
+        return kept
 
     def __getitem__(self, name: str) -> T:
         return self._values[name].value

@@ -25,6 +25,9 @@ from capture_sim.dynamics.samples import (
     Extremes,
 )
 from capture_sim.errors import RecordingError, SceneError
+from capture_sim.plausibility.measured import Measured
+from capture_sim.plausibility.rules import Doubt, Grade
+from capture_sim.run.doubts import Checked, doubts_of, refuse, remaining
 from capture_sim.run.frames import Table, events_frame, samples_frame, topic_frame, touches_frame
 from capture_sim.run.lazy import Lazy
 from capture_sim.run.loads import loads_of, sampled_extremes
@@ -138,6 +141,10 @@ class Run:
         Comparison with a more accurate run; None without ``check=True``.
     failure : str
         Reason why the simulation stopped early; empty for a complete run.
+    evidence : sequence of Measured
+        What sensors have measured, for the rules of plausibility; empty for a simulated run.
+    waived : sequence of str
+        Names of rules that are not checked.
 
     Examples
     --------
@@ -164,6 +171,8 @@ class Run:
     statistics: Statistics | None = None
     check: Check | None = None
     failure: str = ""
+    evidence: Lazy[Sequence[Measured]] = Lazy(tuple)
+    waived: Sequence[str] = ()
 
     # what made it
 
@@ -195,7 +204,10 @@ class Run:
     def replaced(self, **changes: Any) -> Run:
         """Return the run with changed fields; topics that are not yet decoded stay so."""
         kept = {f.name: self.__dict__[f.name] for f in fields(self)}
-        return Run(**{**kept, **changes})
+        run = Run(**{**kept, **changes})
+        if "doubts" in self.__dict__ and not changes.keys() & {"evidence", "given_scene", "waived"}:
+            run.__dict__["doubts"] = self.doubts  # known already
+        return run
 
     @cached_property
     def made_by(self) -> dict[str, Any]:
@@ -206,6 +218,14 @@ class Run:
         return {**made_by, "software": list(self.origin.software)}
 
     # measurements
+
+    @cached_property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """Rules of plausibility that the measurements break, the gravest first.
+
+        The one call for all that judges or fits is :func:`checked`.
+        """
+        return doubts_of(self.evidence, self.given_scene, self.waived)
 
     def measured(self, quantity: str) -> Series:
         """Return the series of a quantity: of its first sensor, else of the exact state."""
@@ -359,7 +379,12 @@ class Run:
 
     @cached_property
     def statuses(self) -> Sequence[CaptureStatus]:
-        """Statuses of the detector: as reported, else evaluated now; the last has the verdict."""
+        """Statuses of the detector: as reported, else evaluated now; the last has the verdict.
+
+        Empty if none was reported and a rule of grade *refused* is broken.
+        """
+        if not self.reported_statuses and any(d.grade is Grade.REFUSED for d in self.doubts):
+            return ()
         return self.reported_statuses or detect(self)
 
     @cached_property
@@ -398,6 +423,7 @@ class Run:
             self.located_extremes,
             self.problems,
             self.made_by,
+            [doubt.line for doubt in self.doubts],
         )
 
     @cached_property
@@ -514,6 +540,23 @@ class Run:
         return importlib.import_module("capture_sim").plot(self)
 
 
+def checked(run: Run) -> Checked:
+    """Return the series of a run that may be judged and fitted, and the doubts to print.
+
+    One call for all that evaluates measurements: the series of :attr:`Run.series` without the
+    topics that a rule leaves out, and one doubt for each series that is left out or doubted, whose
+    ``line`` the user must see.  A simulated run has no doubts.
+
+    Raises
+    ------
+    RecordingError
+        A rule of grade *refused* is broken and not waived (:attr:`Run.waived`).
+    """
+    doubts = run.doubts
+    refuse(run.origin.path or run.name, doubts)
+    return Checked(remaining(run.series, doubts), doubts)
+
+
 def detect(
     run: Run, scene: Scene | None = None, *, from_series: bool = False
 ) -> list[CaptureStatus]:
@@ -532,7 +575,7 @@ def detect(
     Raises
     ------
     RecordingError
-        A topic that the detector needs is missing.
+        A topic that the detector needs is missing, or a rule of grade *refused* is broken.
     SceneError
         The run contains no scene.
     """
@@ -542,6 +585,7 @@ def detect(
     is_cut = run.origin.live.is_cut or bool(run.failure)
     if run.is_exact and not has_noise and not from_series:
         return detect_state(run.state, scene, is_cut=is_cut)
+    checked(run)
     live = run.origin.live._replace(is_cut=is_cut)
     received = received_in(run.series) if run.received is None else run.received
     return detect_received(received, scene, live)

@@ -30,6 +30,7 @@ def summarize(
     extremes: Extremes | None = None,
     problems: Sequence[str] = (),
     made_by: Mapping[str, Any] | None = None,
+    doubts: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the main results of a run, SI units; None without contact, verdict or wall time.
 
@@ -37,7 +38,7 @@ def summarize(
     samples, and ``loads_from`` names the sample rate.  ``energy_residual`` is the largest residual
     of the ledger at the samples of ``run.rate``, as in the tables of sweeps.  ``problems`` are the
     reasons why the run or its recording is incomplete, which may change every result.  ``made_by``
-    is what made the run.
+    is what made the run.  ``doubts`` are the series that are left out or doubted, a line each.
     """
     sampled, rate = extremes is None, scene.run.rate
     if extremes is None:
@@ -53,6 +54,7 @@ def summarize(
         "left_again": status is not None and status.left_again,
         "not_used": "" if status is None else status.not_used,
         "problems": list(problems),
+        "doubts": list(doubts),
         "impact_speed": None if is_unmeasured else speed,
         "impact_speed_missing": touch.detail if touch is not None and is_unmeasured else "",
         "first_contact_time": float(first["start"].min()) if has_contact else None,
@@ -93,6 +95,7 @@ _MISSING: dict[str, Any] = {
     "left_again": False,
     "not_used": "",
     "problems": [],
+    "doubts": [],
     "impact_speed_missing": "",
     "loads_from": "integration",
     "made_by": {},

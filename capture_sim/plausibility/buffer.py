@@ -1,0 +1,162 @@
+"""Rules of the buffer: do poses and encoders agree where the tip is?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.plausibility.momentum import spring_ratio
+from capture_sim.plausibility.motion import N_SMOOTH, Motion
+from capture_sim.plausibility.rules import Grade, Said, rule
+from capture_sim.plausibility.signals import smooth
+
+#: Least depth of the tip in a wall that contradicts the buffer, m: frames of rigid bodies, noise.
+LEAST_DEPTH = 4e-3
+#: ... and in standard deviations of a pose, of which nine are averaged.
+_DEVIATIONS = 2.5
+#: Bounds of the spring's impulse over the chaser's change of momentum: k_A may be off by a third.
+SPRING_LOW, SPRING_HIGH = 0.15, 5.0
+#: A buffer that moves by less has not moved, m and rad.
+_STANDS = (3e-4, 1e-3)
+#: Lags between poses and buffer that are tried, s.
+_LAGS = np.arange(-0.5, 0.501, 0.01)
+
+
+class Contradiction(NamedTuple):
+    """Poses that have the tip inside of a wall though the buffer says otherwise."""
+
+    kind: str  # "stuck", "inverted", "lag" or "other"
+    text: str  # value and expectation
+    detail: str
+
+
+def find_contradiction(motion: Motion) -> Contradiction | None:
+    """Return the contradiction of poses and buffer; None without."""
+    if motion.pair is None or motion.scene is None or motion.buffer is None:
+        return None
+    at = motion.deflections_at(motion.pair.t)
+    if at is None:
+        return None
+    ratio = spring_ratio(motion)
+    if ratio is not None and not SPRING_LOW <= ratio <= SPRING_HIGH:
+        is_inverted = ratio < -SPRING_LOW
+        kind = "inverted" if is_inverted else "stuck" if ratio < SPRING_LOW else "other"
+        text = (
+            f"the spring's impulse by the stroke is {ratio:.3g} of the chaser's change of "
+            f"momentum: must be about 1"
+        )
+        return Contradiction(kind, text, "stroke")
+    stroke, torsion = at
+    limit = max(LEAST_DEPTH, _DEVIATIONS * motion.pose_noise)
+    deepest = _deepest(motion, stroke, torsion)
+    if deepest <= limit:
+        return None
+    text = (
+        f"poses have the tip {1e3 * deepest:.3g} mm inside of a wall: must be below "
+        f"{1e3 * limit:.3g} mm"
+    )
+    near = motion.stiff_depth > 0.0
+    t = motion.smooth_times[near]
+    during = (motion.pair.t >= t[0]) & (motion.pair.t <= t[-1]) if near.any() else slice(None)
+    moves = [float(np.nanmax(x[during]) - np.nanmin(x[during])) for x in (stroke, torsion)]
+    if moves[0] < _STANDS[0] and moves[1] < _STANDS[1]:
+        return Contradiction("stuck", text, "stroke and torsion")
+    for names, signs in (
+        ("stroke", (-1.0, 1.0)),
+        ("torsion", (1.0, -1.0)),
+        ("stroke and torsion", (-1.0, -1.0)),
+    ):
+        if _deepest(motion, signs[0] * stroke, signs[1] * torsion) < 0.6 * limit:
+            return Contradiction("inverted", text, names)
+    if moves[0] < _STANDS[0]:
+        return Contradiction("stuck", text, "stroke")
+    depths = []
+    for lag in _LAGS:
+        later = motion.deflections_at(motion.pair.t + lag)
+        depths.append(_deepest(motion, *later) if later is not None else np.inf)
+    best = int(np.argmin(depths))
+    if depths[best] < 0.6 * limit:
+        return Contradiction("lag", text, f"{abs(_LAGS[best]):.2f} s")
+    return Contradiction("other", text, "")
+
+
+def _deepest(motion: Motion, stroke: np.ndarray, torsion: np.ndarray) -> float:
+    """Return the largest running median of the tip's depth in a wall, m; at least 0."""
+    depth = motion.depth(stroke, torsion)
+    known = depth[np.isfinite(stroke)]
+    smoothed = smooth(known, N_SMOOTH)
+    smoothed = smoothed[np.isfinite(smoothed)]
+    return float(smoothed.max(initial=0.0))
+
+
+def _contradicted(motion: Motion, kind: str) -> Iterator[tuple[str, Contradiction]]:
+    found = motion.once("buffer", lambda: find_contradiction(motion))
+    if found is not None and found.kind == kind and motion.buffer is not None:
+        yield motion.buffer.topic, found
+
+
+@rule(
+    "buffer_stuck",
+    Grade.REFUSED,
+    compares="impulse of the axial spring over the first contact with the chaser's change of "
+    "momentum; position of the tip by poses and buffer with the walls",
+    threshold="ratio below 0.15 in size; or inside of a wall by > 4 mm and > 2.5 standard "
+    "deviations while the stroke stands",
+    reason="the ratio is 0.6 to 1 where k_A is known to a third; base frames and noise make a "
+    "depth of 2 mm",
+    needs_scene=True,
+    needs_poses=True,
+)
+def buffer_stuck(motion: Motion) -> Iterator[Said]:
+    """An encoder that does not move though the tip is pressed in."""
+    for topic, found in _contradicted(motion, "stuck"):
+        yield Said(
+            topic,
+            f"{found.detail} does not follow a contact: {found.text}; check the encoder and its "
+            "unit",
+        )
+
+
+@rule(
+    "buffer_inverted",
+    Grade.REFUSED,
+    compares="as buffer_stuck",
+    threshold="ratio below -0.15; or inside of a wall, but not with the opposite sign",
+    reason="as buffer_stuck",
+    needs_scene=True,
+    needs_poses=True,
+)
+def buffer_inverted(motion: Motion) -> Iterator[Said]:
+    """An encoder with the opposite sign."""
+    for topic, found in _contradicted(motion, "inverted"):
+        yield Said(
+            topic,
+            f"{found.detail} looks inverted: {found.text}; the stroke must be negative when "
+            "compressed, and the torsion positive about z",
+        )
+
+
+@rule(
+    "buffer_against_poses",
+    Grade.REFUSED,
+    compares="as buffer_stuck",
+    threshold="ratio above 5; or inside of a wall for another reason",
+    reason="as buffer_stuck",
+    needs_scene=True,
+    needs_poses=True,
+)
+def buffer_against_poses(motion: Motion) -> Iterator[Said]:
+    """Poses and buffer that contradict each other."""
+    for kind in ("lag", "other"):
+        for topic, found in _contradicted(motion, kind):
+            cause = (
+                f"the buffer fits the poses {found.detail} apart: check the clocks"
+                if kind == "lag"
+                else "check base frames, lengths of the scene, unit and zero of the encoders"
+            )
+            yield Said(
+                topic,
+                f"{found.text}; {cause}",
+            )

@@ -1,0 +1,263 @@
+"""Rules of clocks: do all sources stamp by one clock that runs as time does?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.plausibility.measured import Channel
+from capture_sim.plausibility.motion import MIN_MESSAGES, Motion
+from capture_sim.plausibility.rules import Grade, Said, rule
+
+#: An offset between the sources' clocks beyond this is reported, s.  Latencies of drivers are up to
+#: about 0.03 s.
+WARN_OFFSET = 0.05
+#: Beyond this there is no verdict, s: at 0.1 m/s it moves the tip by 20 mm.
+MAX_OFFSET = 0.2
+#: Contacts that sources see further apart than this are doubted, s.
+_CONTACT_OFFSET = 0.08
+#: Rates of two clocks that differ by more are doubted, and the offset that this must make, s.
+_DRIFT, _DRIFTED = 2e-4, 2e-3
+#: Blocks of a recording for the drift of a clock.
+_BLOCKS = 10
+#: Stamps that advance at another rate than arrivals are a replay's: they show no clock offset.
+_LIVE_RATES = (0.8, 1.25)
+#: Share of repeated stamps that is reported, and that leaves no series.
+_FEW, _MOST = 0.02, 0.5
+#: A clock since boot is below this, s; a wall clock above.
+_BOOT = 3e8
+
+
+class _Clock(NamedTuple):
+    """The clock of a source."""
+
+    channel: Channel
+    offset: float  # s, stamp less arrival of the fastest messages
+    stamp: float  # s, of the first message
+
+
+def _clocks(motion: Motion) -> list[_Clock]:
+    found = []
+    for channel in motion.measured.channels:
+        if channel.count < MIN_MESSAGES or not channel.arrival.size or _is_unset(motion, channel):
+            continue
+        passed, waited = (float(x.max() - x.min()) for x in (channel.t, channel.arrival))
+        if not _LIVE_RATES[0] * waited <= passed <= _LIVE_RATES[1] * waited:
+            continue
+        offset = float(np.percentile(channel.t - channel.arrival, 99.0))
+        first = float(channel.t[0]) + motion.measured.origin / 1e9
+        found.append(_Clock(channel, offset, first))
+    return found
+
+
+def _offsets(motion: Motion) -> Iterator[tuple[_Clock, float]]:
+    """Yield each clock with its offset from the reference, s: from the one nearest to arrivals."""
+    clocks = _clocks(motion)
+    if len(clocks) < 2:
+        return
+    reference = min(clocks, key=lambda clock: abs(clock.offset))
+    for clock in clocks:
+        yield clock, clock.offset - reference.offset
+
+
+@rule(
+    "clocks_apart",
+    Grade.REFUSED,
+    compares="stamp less arrival of a source's fastest messages with those of the other sources",
+    threshold=f"> {MAX_OFFSET} s",
+    reason="at 0.1 m/s this moves the tip by 20 mm, four capture radii",
+)
+def clocks_apart(motion: Motion) -> Iterator[Said]:
+    """A source with another clock: an hour apart, or since boot."""
+    for clock, offset in _offsets(motion):
+        if abs(offset) > MAX_OFFSET:
+            cause = "synchronise the drivers' clocks (chrony, PTP)"
+            if clock.stamp < _BOOT < clock.stamp - offset:
+                cause = "the stamps look like a steady clock's since boot: stamp with ROS time"
+            yield Said(
+                clock.channel.topic,
+                f"stamps {abs(offset):.6g} s {'ahead of' if offset > 0 else 'behind'} those of the "
+                f"other sources: must be within {MAX_OFFSET} s; {cause}",
+            )
+
+
+@rule(
+    "clock_offset",
+    Grade.NOTED,
+    compares="stamp less arrival of a source's fastest messages with those of the other sources",
+    threshold=f"> {WARN_OFFSET} s",
+    reason="latencies of drivers are up to 0.03 s; 0.05 s moves the tip by 5 mm at 0.1 m/s",
+)
+def clock_offset(motion: Motion) -> Iterator[Said]:
+    """A source whose clock is a little off."""
+    for clock, offset in _offsets(motion):
+        if WARN_OFFSET < abs(offset) <= MAX_OFFSET:
+            yield Said(
+                clock.channel.topic,
+                f"stamps {abs(offset):.3g} s {'ahead of' if offset > 0 else 'behind'} those of the "
+                f"other sources: must be within {WARN_OFFSET} s; synchronise the clocks",
+            )
+
+
+@rule(
+    "clock_drifts",
+    Grade.NOTED,
+    compares="rate of a source's stamps with that of another source's, both by arrivals",
+    threshold="> 200 ppm that make > 2 ms in the recording, 5 times the scatter",
+    reason="quartz clocks differ by less than 100 ppm; 2 ms are 0.2 mm at 0.1 m/s",
+)
+def clock_drifts(motion: Motion) -> Iterator[Said]:
+    """A source whose clock runs fast or slow."""
+    lines = {clock.channel.topic: _rate(clock.channel) for clock in _clocks(motion)}
+    if len(lines) < 2:
+        return
+    reference = float(np.median([rate for rate, _, _ in lines.values()]))
+    if len(lines) == 2:
+        reference = min((rate for rate, _, _ in lines.values()), key=abs)
+    for topic, (rate, scatter, duration) in lines.items():
+        drift = rate - reference
+        if abs(drift) > _DRIFT and abs(drift) * duration > max(_DRIFTED, 5.0 * scatter):
+            yield Said(
+                topic,
+                f"clock runs {1e6 * abs(drift):.3g} ppm {'fast' if drift > 0 else 'slow'}, "
+                f"{1e3 * abs(drift) * duration:.3g} ms in {duration:.3g} s: must be within 200 ppm "
+                "of the other sources; synchronise the clocks",
+            )
+
+
+def _rate(channel: Channel) -> tuple[float, float, float]:
+    """Return a clock's rate less 1, the scatter around it (s), and the duration (s)."""
+    duration = float(channel.arrival.max() - channel.arrival.min())
+    offset = channel.t - channel.arrival
+    edges = np.linspace(channel.arrival.min(), channel.arrival.max(), _BLOCKS + 1)
+    block = np.clip(np.searchsorted(edges, channel.arrival, side="right") - 1, 0, _BLOCKS - 1)
+    used = [k for k in range(_BLOCKS) if (block == k).sum() >= 3]
+    if len(used) < 5 or duration <= 0.0:
+        return 0.0, np.inf, duration
+    # the fastest message of each block: others were late
+    best = [int(np.flatnonzero(block == k)[np.argmax(offset[block == k])]) for k in used]
+    t, values = channel.arrival[best], offset[best]
+    rate, middle = np.polyfit(t - t.mean(), values, 1)
+    scatter = float(np.abs(values - middle - rate * (t - t.mean())).max())
+    return float(rate), scatter, duration
+
+
+def _is_unset(motion: Motion, channel: Channel) -> bool:
+    return float(_unset(motion, channel).mean()) > _MOST
+
+
+def _unset(motion: Motion, channel: Channel) -> np.ndarray:
+    """Return which stamps are 0, (n,) bool."""
+    return np.asarray(np.abs(channel.t + motion.measured.origin / 1e9) < 1e-3)
+
+
+@rule(
+    "stamps_unset",
+    Grade.REFUSED,
+    compares="header.stamp with 0",
+    threshold="more than half of a source's stamps are 0",
+    reason="0 means 'not set' in ROS: the times of the measurements are unknown",
+)
+def stamps_unset(motion: Motion) -> Iterator[Said]:
+    """A driver that sets no stamps."""
+    for channel in motion.measured.channels:
+        if _is_unset(motion, channel):
+            number = int(_unset(motion, channel).sum())
+            yield Said(
+                channel.topic,
+                f"{number} of {channel.count} stamps are 0: have the driver set header.stamp",
+            )
+
+
+@rule(
+    "stamp_unset",
+    Grade.LEFT_OUT,
+    compares="header.stamp with 0",
+    threshold="some of a source's stamps are 0",
+    reason="0 means 'not set' in ROS",
+)
+def stamp_unset(motion: Motion) -> Iterator[Said]:
+    """A driver that sets no stamp in some messages."""
+    for channel in motion.measured.channels:
+        number = int(_unset(motion, channel).sum())
+        if number and not _is_unset(motion, channel):
+            yield Said(channel.topic, f"{number} of {channel.count} stamps are 0", number)
+
+
+def _repeated(channel: Channel) -> float:
+    """Return the share of messages whose stamp came before though their values differ."""
+    if channel.count < MIN_MESSAGES:
+        return 0.0
+    order = np.argsort(channel.t, kind="stable")
+    t, values = channel.t[order], channel.values[order]
+    same = (np.diff(t) == 0.0) & (np.diff(values, axis=0) != 0.0).any(axis=1)
+    return float(same.mean())
+
+
+@rule(
+    "stamps_stand",
+    Grade.REFUSED,
+    compares="stamps of successive messages whose values differ",
+    threshold=f"more than {_MOST:.0%} repeat an earlier stamp",
+    reason="the times of the measurements are unknown",
+)
+def stamps_stand(motion: Motion) -> Iterator[Said]:
+    """A clock that stands."""
+    for channel in motion.measured.channels:
+        share = _repeated(channel)
+        if share > _MOST and not _is_unset(motion, channel):
+            yield Said(
+                channel.topic,
+                f"{100 * share:.3g} % of the stamps repeat an earlier one: must be the time of "
+                "each measurement",
+            )
+
+
+@rule(
+    "stamps_repeat",
+    Grade.NOTED,
+    compares="stamps of successive messages whose values differ",
+    threshold=f"more than {_FEW:.0%} repeat an earlier stamp",
+    reason="single ones occur where two messages are stamped in one tick",
+)
+def stamps_repeat(motion: Motion) -> Iterator[Said]:
+    """Stamps that repeat: of equal ones the first message counts."""
+    for channel in motion.measured.channels:
+        share = _repeated(channel)
+        if _FEW < share <= _MOST and not _is_unset(motion, channel):
+            yield Said(
+                channel.topic,
+                f"{100 * share:.3g} % of the stamps repeat an earlier one: of equal stamps the "
+                "first message counts; check for two publishers",
+            )
+
+
+@rule(
+    "contact_times",
+    Grade.NOTED,
+    compares="first contact as seen by poses, by the buffer and by the force",
+    threshold=f"one of them differs from another by > {_CONTACT_OFFSET} s",
+    reason="0.05 s of clocks, and 3 mm of the base frames at 0.1 m/s",
+    needs_scene=True,
+    needs_poses=True,
+)
+def contact_times(motion: Motion) -> Iterator[Said]:
+    """Sources that see the contact at different times."""
+    seen = motion.contacts
+    if len(seen) < 2:
+        return
+    times = sorted(seen.values())
+    if times[-1] - times[0] <= _CONTACT_OFFSET:
+        return
+    middle = times[len(times) // 2] if len(times) > 2 else seen.get("buffer", times[0])
+    worst = max(seen, key=lambda name: abs(seen[name] - middle))
+    off = seen[worst] - middle
+    listed = ", ".join(f"{name} {t - times[0]:.3f} s" for name, t in seen.items())
+    yield Said(
+        motion.topic_of(worst),
+        f"first contact {abs(off):.3g} s {'later' if off > 0 else 'earlier'} than by the other "
+        f"sources ({listed} after the first): must be within {_CONTACT_OFFSET} s; check clocks "
+        "and base frames",
+    )

@@ -1,0 +1,190 @@
+"""Rules of the load cell: axes, sign, scale, drift, saturation, and forces without a contact."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from capture_sim.plausibility.axes import FORCE_FRAMES, frame_of
+from capture_sim.plausibility.momentum import force_ratio
+from capture_sim.plausibility.motion import Motion
+from capture_sim.plausibility.rules import Grade, Said, rule
+from capture_sim.plausibility.signals import baseline, noise
+
+#: Drift of the sensor's zero that is reported, N.
+_DRIFT = 1.0
+#: Equal largest values that show saturation: in a row, and more than in other rows, or at times.
+_SATURATED, _TIMES = 4, 4
+#: A force that begins while the tip is further than this from the walls has another cause, m.
+_FAR = 0.02
+#: Impulse over change of momentum: bounds of what friction and sampling explain.
+_SIGN, _SMALL, _LARGE = -0.3, 0.05, 20.0
+
+
+@rule(
+    "force_frame",
+    Grade.LEFT_OUT,
+    compares="header.frame_id of the force with the frames of the bench",
+    threshold=f"not one of {', '.join(FORCE_FRAMES)}",
+    reason="a force in unknown axes has no direction",
+)
+def force_frame(motion: Motion) -> Iterator[Said]:
+    """A force in unknown axes."""
+    force = motion.measured.force
+    if force is not None and force.count and frame_of(force.frame_ids) is None:
+        names = " and ".join(repr(name) for name in force.frame_ids)
+        yield Said(force.topic, f"frame_id {names}: must be one, of {', '.join(FORCE_FRAMES)}")
+
+
+@rule(
+    "force_frame_empty",
+    Grade.NOTED,
+    compares="header.frame_id of the force with the empty text",
+    threshold="empty",
+    reason="the axes are not known; target/cone is assumed",
+)
+def force_frame_empty(motion: Motion) -> Iterator[Said]:
+    """A force without a frame."""
+    force = motion.measured.force
+    if force is not None and force.count and not any(force.frame_ids):
+        yield Said(
+            force.topic,
+            f"frame_id is empty: taken for target/cone; must be one of {', '.join(FORCE_FRAMES)}",
+        )
+
+
+@rule(
+    "force_saturated",
+    Grade.NOTED,
+    compares="largest magnitude of a component with the samples beside it",
+    threshold="4 samples in a row have it exactly, twice as many as repeat any other value, or it "
+    "comes 4 times",
+    reason="noise never repeats a largest value; a cell that repeats samples repeats others too",
+)
+def force_saturated(motion: Motion) -> Iterator[Said]:
+    """A load cell at the end of its range."""
+    force = motion.force
+    if force is None:
+        return
+    kept = force.force[force.is_measured]
+    for axis, column in zip("xyz", kept.T, strict=True):
+        size = np.abs(column)
+        largest = float(size.max())
+        if largest <= max(1.0, 10.0 * noise(column)):
+            continue
+        rows = _rows(size == largest)
+        in_row = int(rows.max(initial=0))
+        others = size[size < largest]
+        repeated = int(_rows(np.diff(others) == 0.0).max(initial=0)) + 1 if len(others) > 1 else 1
+        if in_row >= max(_SATURATED, 2 * repeated if repeated > 1 else 0) or len(rows) >= _TIMES:
+            yield Said(
+                force.topic,
+                f"force.{axis} is {largest:.5g} N at its largest {len(rows)} times, up to {in_row} "
+                "samples in a row: the load cell is saturated; peaks and impulses are lower limits",
+            )
+
+
+def _rows(is_so: np.ndarray) -> np.ndarray:
+    """Return the lengths of the rows of True in (n,) bool."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], is_so.astype(np.int8), [0]])))
+    return np.asarray(ends[1::2] - ends[::2])
+
+
+@rule(
+    "force_drifts",
+    Grade.NOTED,
+    compares="zero of the load cell at the begin and before the first contact",
+    threshold="differ by > 1 N and > 10 standard deviations of their means",
+    reason="0.05 N/s is a hard case of a warm-up, and is removed; 1 N is a tenth of a contact's "
+    "mean force",
+)
+def force_drifts(motion: Motion) -> Iterator[Said]:
+    """A load cell whose zero drifts by more than the contact's force bears."""
+    force = motion.force
+    if force is None:
+        return
+    kept = force.is_measured
+    t, values = force.t[kept], force.force[kept, :2]
+    limit = min(motion.contacts.values(), default=np.inf)
+    quiet = t < limit - 0.05
+    if quiet.sum() < 100:
+        return
+    level = baseline(t[quiet], values[quiet])
+    moved = level[-1] - level[0]
+    scatter = max(noise(column) for column in values[quiet].T)
+    if float(np.hypot(*moved)) > max(_DRIFT, 2.0 * scatter):
+        duration = float(t[quiet][-1] - t[quiet][0])
+        yield Said(
+            force.topic,
+            f"zero drifts by {np.hypot(*moved):.3g} N in {duration:.3g} s before the contact: must "
+            "be below 1 N; touches are found without it, forces contain it; let the cell warm up",
+        )
+
+
+@rule(
+    "force_without_contact",
+    Grade.NOTED,
+    compares="begin of the force with the distance of the tip to the walls by poses",
+    threshold="> 20 mm and 6 standard deviations",
+    reason="base frames and noise are below; a cable, a hand or a shock of the release is not",
+    needs_scene=True,
+    needs_poses=True,
+)
+def force_without_contact(motion: Motion) -> Iterator[Said]:
+    """A force where poses allow no contact."""
+    begin = motion.force_onset
+    if motion.force is None or begin is None or motion.pair is None:
+        return
+    t = motion.smooth_times
+    if not len(t) or not t[0] <= begin <= t[-1]:
+        return
+    gap = -float(motion.stiff_depth[int(np.searchsorted(t, begin))])
+    if np.isfinite(gap) and gap > max(_FAR, 6.0 * motion.pose_noise):
+        yield Said(
+            motion.force.topic,
+            f"force begins while poses have the tip {1e3 * gap:.3g} mm from the walls: must be "
+            "below 20 mm; check cables, and the clocks",
+        )
+
+
+@rule(
+    "force_inverted",
+    Grade.NOTED,
+    compares="impulse of the force over the contact with the change of the chaser's momentum",
+    threshold="of opposite sign, and at least 0.3 of it",
+    reason="friction of the supports is below 0.1 of it; the sign is that of the force on the cone",
+    needs_scene=True,
+    needs_poses=True,
+)
+def force_inverted(motion: Motion) -> Iterator[Said]:
+    """A load cell with the opposite sign."""
+    ratio = motion.once("impulse", lambda: force_ratio(motion))
+    if ratio is not None and ratio < _SIGN and motion.force is not None:
+        yield Said(
+            motion.force.topic,
+            f"impulse {ratio:.3g} of the chaser's change of momentum: must be about 1; the sign "
+            "looks inverted: it must be the force on the cone, so touches are not evaluated",
+        )
+
+
+@rule(
+    "force_scale",
+    Grade.NOTED,
+    compares="impulse of the force over the contact with the change of the chaser's momentum",
+    threshold="ratio < 0.05 or > 20",
+    reason="sampling makes a factor of 2; kN in place of N is 1000, N in place of kN, too",
+    needs_scene=True,
+    needs_poses=True,
+)
+def force_scale(motion: Motion) -> Iterator[Said]:
+    """A force in kN, or no force at all in a contact."""
+    ratio = motion.once("impulse", lambda: force_ratio(motion))
+    if ratio is None or motion.force is None or not (abs(ratio) < _SMALL or ratio > _LARGE):
+        return
+    cause = "the force is too small: is it in kN, or is the cell not in the path of the force?"
+    yield Said(
+        motion.force.topic,
+        f"impulse {ratio:.3g} of the chaser's change of momentum: must be about 1; "
+        + (cause if ratio < 1.0 else "the force is too large: it must be in N"),
+    )

@@ -1,0 +1,121 @@
+"""Measurements of the last seconds, for the rules of a node that is running."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from capture_sim.plausibility.measured import Deflections, Forces, Measured, Poses
+
+#: The latest measurements of a source that are kept, at most.
+MAX_KEPT = 4000
+
+
+class _Kept:
+    """The latest messages of one topic."""
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.rows: deque[tuple[int, int, tuple[float, ...]]] = deque(maxlen=MAX_KEPT)
+        self.frame_ids: dict[str, None] = {}
+
+    def add(self, stamp: int, arrival: int, values: tuple[float, ...], frame_id: str) -> None:
+        self.rows.append((stamp, arrival, values))
+        self.frame_ids.setdefault(frame_id)
+
+
+class LiveMeasurements:
+    """Keeps the last ``span`` seconds of messages, and hands them to the rules.
+
+    Add each message as it comes; at a moment of decision, e.g. before the release, call
+    :func:`capture_sim.plausibility.check.check` with :meth:`measured`.  An add costs a microsecond,
+    a check of 2 s some milliseconds.  Stamps and arrivals are ns, each by any clock.
+
+    Examples
+    --------
+    >>> live = LiveMeasurements()
+    >>> live.add_pose("chaser", "motion_capture/chaser", 0, 0, (0, 0, 0), (0, 0, 0, 1), "world")
+    >>> live.measured().chaser.count
+    1
+    """
+
+    def __init__(self, span: float = 2.0) -> None:
+        self._span = round(span * 1e9)
+        self._kept: dict[str, _Kept] = {}
+
+    def clear(self) -> None:
+        """Forget everything, at the begin of a trial."""
+        self._kept.clear()
+
+    def add_pose(
+        self,
+        vehicle: str,
+        topic: str,
+        stamp: int,
+        arrival: int,
+        position: Sequence[float],
+        quaternion: Sequence[float],
+        frame_id: str = "",
+    ) -> None:
+        """Add a pose of ``chaser`` or ``target``: position (3), m, and quaternion x, y, z, w."""
+        self._add(vehicle, topic, stamp, arrival, (*position, *quaternion), frame_id)
+
+    def add_buffer(
+        self, topic: str, stamp: int, arrival: int, stroke: float, torsion: float
+    ) -> None:
+        """Add a state of the buffer: stroke (m) and torsion (rad)."""
+        self._add("buffer", topic, stamp, arrival, (stroke, torsion), "")
+
+    def add_force(
+        self, topic: str, stamp: int, arrival: int, force: Sequence[float], frame_id: str = ""
+    ) -> None:
+        """Add a force of the load cell (3), N."""
+        self._add("force", topic, stamp, arrival, tuple(force), frame_id)
+
+    def _add(
+        self,
+        source: str,
+        topic: str,
+        stamp: int,
+        arrival: int,
+        values: tuple[float, ...],
+        frame_id: str,
+    ) -> None:
+        kept = self._kept.get(source)
+        if kept is None or kept.topic != topic:
+            kept = self._kept[source] = _Kept(topic)
+        kept.add(stamp, arrival, values, frame_id)
+        while kept.rows[0][1] < arrival - self._span:
+            kept.rows.popleft()
+
+    def measured(self) -> Measured:
+        """Return the measurements that are kept."""
+        arrivals = [kept.rows[0][1] for kept in self._kept.values() if kept.rows]
+        origin = min(arrivals, default=0)
+
+        def channel(name: str) -> tuple[_Kept, np.ndarray, np.ndarray, np.ndarray] | None:
+            kept = self._kept.get(name)
+            if kept is None or not kept.rows:
+                return None
+            stamps, arrived, values = zip(*kept.rows, strict=True)
+            t, arrival = ((np.array(x, dtype=np.int64) - origin) / 1e9 for x in (stamps, arrived))
+            return kept, t, arrival, np.array(values, dtype=float)
+
+        def poses(name: str) -> Poses | None:
+            if (found := channel(name)) is None:
+                return None
+            kept, t, arrival, values = found
+            return Poses(
+                kept.topic, t, arrival, tuple(kept.frame_ids), values[:, :3], values[:, 3:]
+            )
+
+        buffer = force = None
+        if (found := channel("buffer")) is not None:
+            kept, t, arrival, values = found
+            buffer = Deflections(kept.topic, t, arrival, (), *values.T)
+        if (found := channel("force")) is not None:
+            kept, t, arrival, values = found
+            force = Forces(kept.topic, t, arrival, tuple(kept.frame_ids), values)
+        return Measured(poses("chaser"), poses("target"), buffer, force, origin=origin)

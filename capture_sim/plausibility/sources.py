@@ -1,0 +1,157 @@
+"""Rules of sources: is there a measurement at all, and until when?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from capture_sim.plausibility.motion import MIN_MESSAGES, Motion
+from capture_sim.plausibility.rules import Grade, Said, rule
+
+#: A source that ends earlier than the others by this has stopped, s.
+MAX_SILENCE = 0.5
+#: ... and by this many of its intervals.
+_MIN_INTERVALS = 20
+#: Ratio of rates that is a change of the rate.
+_RATE_RATIO = 1.7
+#: Messages of a third of a recording that give a rate.
+_MIN_THIRD = 20
+
+
+@rule(
+    "never_tracked",
+    Grade.REFUSED,
+    compares="orientation and position of every pose of a vehicle",
+    threshold="no pose has finite numbers and a quaternion of norm > 0",
+    reason="drivers send zeros or NaN for a body that the cameras do not see",
+)
+def never_tracked(motion: Motion) -> Iterator[Said]:
+    """A vehicle none of whose messages holds a pose."""
+    for name, poses in motion.measured.vehicles:
+        if not poses.is_measured.any():
+            what = "quaternion 0 0 0 0" if (poses.norm < 1e-3).any() else "not finite"
+            yield Said(
+                poses.topic,
+                f"{name} never tracked: all {poses.count} poses have {what}; define the rigid body "
+                "and check its markers",
+            )
+
+
+@rule(
+    "no_pose",
+    Grade.LEFT_OUT,
+    compares="orientation and position of each pose",
+    threshold="numbers not finite, or norm of the quaternion < 0.001",
+    reason="an orientation has norm 1",
+)
+def no_pose(motion: Motion) -> Iterator[Said]:
+    """Some messages of a vehicle without a pose."""
+    for _, poses in motion.measured.vehicles:
+        lost = int((~poses.is_measured).sum())
+        if 0 < lost < poses.count:
+            text = f"{lost} of {poses.count} messages hold no pose (a quaternion of norm 0, or NaN)"
+            yield Said(poses.topic, f"{text}: check the tracking", lost)
+
+
+@rule(
+    "no_value",
+    Grade.LEFT_OUT,
+    compares="stroke and torsion, or force, of each message",
+    threshold="not finite",
+    reason="NaN is no measurement",
+)
+def no_value(motion: Motion) -> Iterator[Said]:
+    """Messages of buffer and load cell without a value."""
+    for channel, what in (
+        (motion.measured.buffer, "position of buffer_slide or buffer_hinge"),
+        (motion.measured.force, "force"),
+    ):
+        if channel is None or not channel.count:
+            continue
+        lost = int((~channel.is_measured).sum())
+        if lost == channel.count:
+            yield Said(
+                channel.topic,
+                f"all {lost} messages have a {what} that is not finite: check the driver",
+            )
+        elif lost:
+            yield Said(
+                channel.topic,
+                f"{lost} of {channel.count} messages have a {what} that is not finite",
+                lost,
+            )
+
+
+@rule(
+    "few_messages",
+    Grade.LEFT_OUT,
+    compares="number of messages of a source",
+    threshold=f"fewer than {MIN_MESSAGES}, and another source has ten times as many",
+    reason="noise and motion cannot be known from fewer",
+)
+def few_messages(motion: Motion) -> Iterator[Said]:
+    """A source that sent one message, or a few."""
+    most = max((channel.count for channel in motion.measured.channels), default=0)
+    for channel in motion.measured.channels:
+        if channel.count < MIN_MESSAGES and most >= 10 * channel.count + MIN_MESSAGES:
+            yield Said(
+                channel.topic,
+                f"{channel.count} of {most} messages: must be {MIN_MESSAGES} or more; check the "
+                "driver's rate and its quality of service",
+            )
+
+
+@rule(
+    "ends_early",
+    Grade.NOTED,
+    compares="last message of a source with the last of the others",
+    threshold=f"earlier by > {MAX_SILENCE} s and > {_MIN_INTERVALS} intervals",
+    reason="longer than an occlusion at the contact (0.5 s)",
+)
+def ends_early(motion: Motion) -> Iterator[Said]:
+    """A source that stopped before the others."""
+    channels = [c for c in motion.measured.channels if c.count >= MIN_MESSAGES]
+    if len(channels) < 2:
+        return
+    ends = [float(channel.logged.max()) for channel in channels]
+    for channel, end in zip(channels, ends, strict=True):
+        early = max(ends) - end
+        if early > max(MAX_SILENCE, _MIN_INTERVALS * _interval(channel.logged)):
+            yield Said(
+                channel.topic,
+                f"last message {early:.2f} s before that of the other sources: the source has "
+                "stopped; nothing is known of it from there",
+            )
+
+
+@rule(
+    "rate_changes",
+    Grade.NOTED,
+    compares="median interval of a source in the first and in the last third of its messages",
+    threshold=f"ratio > {_RATE_RATIO:g}",
+    reason="half of the rate is a ratio of 2; a driver's own rate varies by a few percent",
+)
+def rate_changes(motion: Motion) -> Iterator[Said]:
+    """A source with half of the rate that it had."""
+    for channel in motion.measured.channels:
+        third = channel.count // 3
+        if third < _MIN_THIRD:
+            continue
+        first, last = _interval(channel.t[:third]), _interval(channel.t[-third:])
+        if min(first, last) > 0.0 and max(first, last) > _RATE_RATIO * min(first, last):
+            yield Said(
+                channel.topic,
+                f"{1.0 / first:.4g} Hz at the begin, {1.0 / last:.4g} Hz at the end: must be "
+                "one rate; check the load of the driver's machine",
+            )
+
+
+def _interval(t: np.ndarray) -> float:
+    """Return the median time between messages (n,), s; of clumps their mean."""
+    if len(t) < 2:
+        return 0.0
+    ordered = np.sort(t)
+    median = float(np.median(np.diff(ordered)))
+    mean = float(ordered[-1] - ordered[0]) / (len(t) - 1)
+    return median if median > 0.3 * mean else mean

@@ -1,0 +1,167 @@
+"""Rules of units: are lengths in m and angles in rad?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from capture_sim.plausibility.motion import Motion
+from capture_sim.plausibility.rules import Grade, Said, rule
+
+#: Units that drivers send in place of m and rad.
+LENGTHS = {"mm": 1e-3, "cm": 1e-2, "inch": 0.0254, "foot": 0.3048}
+#: Vehicles that never come nearer than this times the distance at contact are no bench's.
+_FAR, _NEAR = 10.0, 0.5
+#: ... without a scene, m.
+_LARGEST_BENCH = 20.0
+#: A stroke or torsion beyond this times what the approach's energy can cause is in another unit.
+_ENERGY_MARGIN = 8.0
+#: Least limits of stroke, m, and torsion, rad, whatever the energy.
+_LEAST_STROKE, _LEAST_TORSION = 0.05, 0.1
+#: Strokes beyond a stop by this are doubted, m: stops yield, and encoders have an offset.
+_STOP_MARGIN = 2e-3
+
+
+@rule(
+    "position_units",
+    Grade.REFUSED,
+    compares="smallest distance between chaser and target",
+    threshold="> 10 times that at contact by the scene, or < half of it (without a scene: > 20 m)",
+    reason="mm makes it 1000, inch 39 times too large; a trial that misses stays below 10, and "
+    "below a half the bodies overlap",
+)
+def position_units(motion: Motion) -> Iterator[Said]:
+    """Positions in mm, inch or another unit than m."""
+    if motion.pair is None:
+        return
+    nearest = float(np.percentile(motion.distance, 2.0))
+    topic, pair = motion.pair_topic, motion.pair
+    largest = max(float(np.abs(pose[:, :2]).max()) for pose in (pair.chaser, pair.target))
+    if motion.scene is None:
+        if nearest > _LARGEST_BENCH:
+            yield Said(
+                topic,
+                f"distance between the vehicles never below {nearest:.4g} m: must be a few m; "
+                "positions look like mm; have the driver send m",
+            )
+        return
+    expected = motion.contact_distance
+    if nearest <= _FAR * expected and nearest >= _NEAR * expected:
+        return
+    if nearest < _NEAR * expected and largest < 1e-9:
+        return  # both are at the origin: not tracked
+    unit = _unit_of(motion, nearest, expected)
+    if nearest < _NEAR * expected and not unit:
+        return  # bodies_overlap
+    look = f"positions look like {unit}" if unit else "positions are in no unit that is known"
+    yield Said(
+        topic,
+        f"distance between the vehicles {nearest:.4g} m at the least: must be "
+        f"{expected:.3g} m at contact; {look}; have the driver send m",
+    )
+
+
+def _unit_of(motion: Motion, nearest: float, expected: float) -> str:
+    """Return the unit in which the distance is that at contact, within a factor of 2; or none."""
+    assert motion.pair is not None
+    of_c, of_t = motion.pair.chaser[:, :2], motion.pair.target[:, :2]
+    for unit, factor in LENGTHS.items():
+        for name, (by_c, by_t) in {
+            "": (factor, factor),
+            " (the chaser's)": (factor, 1.0),
+            " (the target's)": (1.0, factor),
+        }.items():
+            distance = np.hypot(*(by_t * of_t - by_c * of_c).T)
+            if 0.6 * expected < float(np.percentile(distance, 2.0)) < 3.0 * expected:
+                return unit + name
+    del nearest
+    return ""
+
+
+@rule(
+    "buffer_units",
+    Grade.REFUSED,
+    compares="largest stroke with the probe, and stroke and torsion with the approach's energy",
+    threshold="stroke > the probe's length, or either > 8 times what that energy can deflect "
+    "(at least 0.05 m and 0.1 rad)",
+    reason="mm makes a stroke 1000, inch 39, deg a torsion 57 times too large; a push by hand "
+    "stays below",
+    needs_scene=True,
+)
+def buffer_units(motion: Motion) -> Iterator[Said]:
+    """Strokes in mm or inch, torsions in deg."""
+    buffer, scene = motion.buffer, motion.scene
+    if buffer is None or scene is None:
+        return
+    kept = buffer.is_measured
+    stroke = float(np.percentile(np.abs(buffer.stroke[kept]), 99.8))
+    torsion = float(np.percentile(np.abs(buffer.torsion[kept]), 99.8))
+    energy = 0.5 * scene.chaser_total_mass * _speed(motion) ** 2
+    k_A, k_T = scene.buffer.stiffness_at_rest, scene.buffer.k_T
+    by_energy = math.sqrt(2.0 * energy / k_A) if k_A > 0.0 else scene.rest_length
+    limit = min(scene.rest_length, max(_ENERGY_MARGIN * by_energy, _LEAST_STROKE))
+    if stroke > limit:
+        unit = _deflection_unit(stroke, by_energy, {"mm": 1e-3, "inch": 0.0254})
+        yield Said(
+            buffer.topic,
+            f"stroke {stroke:.4g} m: must be below {limit:.3g} m; strokes look like {unit}; have "
+            "the driver send m",
+        )
+    turned = math.sqrt(2.0 * energy / k_T) if k_T > 0.0 else math.pi
+    limit = max(_ENERGY_MARGIN * turned, _LEAST_TORSION)
+    if torsion > limit:
+        unit = _deflection_unit(torsion, turned, {"mrad": 1e-3, "deg": math.pi / 180.0})
+        yield Said(
+            buffer.topic,
+            f"torsion {torsion:.4g} rad: must be below {limit:.3g} rad; torsions look like {unit}; "
+            "have the driver send rad",
+        )
+
+
+def _deflection_unit(value: float, largest: float, units: dict[str, float]) -> str:
+    fitting = [unit for unit, factor in units.items() if factor * value <= 1.5 * largest]
+    return fitting[-1] if fitting else "another unit"
+
+
+def _speed(motion: Motion) -> float:
+    """Return the largest relative speed of the approach, m/s, by poses, and by plan at least."""
+    from capture_sim.scene.launch_plan import plan_launch
+
+    assert motion.scene is not None
+    scene = motion.scene
+    chaser, target, plan = scene.initial.chaser, scene.initial.target, plan_launch(scene)
+    relative = math.hypot(chaser.vx - target.vx, chaser.vy - target.vy)
+    return max(0.05, plan.landing_speed, plan.impact_speed, relative)
+
+
+@rule(
+    "beyond_stop",
+    Grade.NOTED,
+    compares="stroke with the stops and the seat of the scene",
+    threshold="beyond by > 2 mm and 6 standard deviations",
+    reason="stops yield, and an encoder's zero may be off",
+    needs_scene=True,
+)
+def beyond_stop(motion: Motion) -> Iterator[Said]:
+    """A stroke that the stops do not allow."""
+    buffer, scene = motion.buffer, motion.scene
+    if buffer is None or scene is None:
+        return
+    stroke = buffer.stroke[buffer.is_measured]
+    outward = scene.outward_stroke
+    inward = None if scene.stops is None else scene.stops.compression
+    low, high = np.percentile(stroke, [0.2, 99.8])
+    if outward is not None and high > outward + _STOP_MARGIN:
+        yield Said(
+            buffer.topic,
+            f"stroke {1e3 * high:.3g} mm: must be {1e3 * outward:.3g} mm or less, where the probe "
+            "meets its stop; check the encoder's zero and sign",
+        )
+    if inward is not None and -low > inward + _STOP_MARGIN:
+        yield Said(
+            buffer.topic,
+            f"stroke {1e3 * low:.3g} mm: must be -{1e3 * inward:.3g} mm or more, where the probe "
+            "meets its stop; check the encoder's zero and unit",
+        )

@@ -1,0 +1,64 @@
+"""The doubts about a run's measurements, and the series that remain."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
+
+from capture_sim.errors import RecordingError
+from capture_sim.plausibility.check import check, check_names
+from capture_sim.plausibility.measured import Measured
+from capture_sim.plausibility.rules import Doubt, Grade
+from capture_sim.run.lazy import LazyMapping
+from capture_sim.run.series import SeriesBySource
+from capture_sim.scene.parts import Scene
+
+
+class Checked(NamedTuple):
+    """Series that count, and the doubts about them."""
+
+    series: SeriesBySource  # by quantity and source, without the topics that are left out
+    doubts: tuple[Doubt, ...]  # the gravest first
+
+
+def refuse(where: str, doubts: Sequence[Doubt]) -> None:
+    """Raise RecordingError if a rule of grade *refused* is broken."""
+    refused = [doubt for doubt in doubts if doubt.grade is Grade.REFUSED]
+    if refused:
+        waive = " ".join(f"--waive {name}" for name in dict.fromkeys(d.rule.name for d in refused))
+        raise RecordingError(
+            f"{where}: {'; '.join(doubt.line for doubt in refused)} (evaluated all the same with "
+            f"{waive})"
+        )
+
+
+def remaining(series: SeriesBySource, doubts: Sequence[Doubt]) -> SeriesBySource:
+    """Return series without the topics that are left out; no topic is decoded for it."""
+    topics = {
+        topic.lstrip("/")
+        for doubt in doubts
+        if doubt.leaves_out_topic
+        for topic in doubt.topic.split(" and ")
+    }
+    if not topics:
+        return series
+    kept = {
+        quantity: sources.without(topics)
+        if isinstance(sources, LazyMapping)
+        else {name: each for name, each in sources.items() if name not in topics}
+        for quantity, sources in series.items()
+    }
+    return {quantity: sources for quantity, sources in kept.items() if sources}
+
+
+def doubts_of(
+    evidence: Sequence[Measured], scene: Scene | None, waived: Collection[str]
+) -> tuple[Doubt, ...]:
+    """Return the doubts about measurements, each once, the gravest first."""
+    check_names(waived)
+    found: dict[tuple[str, str], Doubt] = {}
+    for measured in evidence:
+        for doubt in check(measured, scene, waived):
+            found.setdefault((doubt.rule.name, doubt.topic), doubt)
+    order = list(Grade)
+    return tuple(sorted(found.values(), key=lambda doubt: order.index(doubt.grade)))

@@ -1,0 +1,105 @@
+"""What the rules say of recordings as laboratories make them (tests/dirty.py)."""
+
+from __future__ import annotations
+
+import dirty
+import pytest
+
+import capture_sim
+from capture_sim.errors import RecordingError
+from capture_sim.plausibility.check import check
+from capture_sim.plausibility.rules import RULES, Grade
+from capture_sim.recording.read import read_run
+from capture_sim.run.run import checked, detect
+
+#: The rules that each kind breaks; nothing else may be said.
+RULES_OF = {
+    "plain": set(),
+    "poses_in_mm": {"position_units"},
+    "poses_in_inch": {"position_units"},
+    "headings_in_degrees": {"not_facing"},
+    "y_up": {"tilted", "out_of_plane"},
+    "w_first": {"tilted"},
+    "no_quaternion": {"never_tracked"},
+    "target_not_tracked": {"never_tracked"},
+    "poses_an_hour_ahead": {"clocks_apart"},
+    "poses_120_ms_ahead": {"clock_offset", "contact_times"},
+    "chaser_drifts_by_500_ppm": {"clock_drifts"},
+    "poses_on_a_steady_clock": {"clocks_apart"},
+    "stamps_zero": {"stamps_unset"},
+    "bodies_swapped": {"not_facing"},
+    "one_body_on_both": {"bodies_overlap"},
+    "frames_differ": {"frames_differ"},
+    "joints_nan": {"no_value"},
+    "encoder_in_mm": {"buffer_units"},
+    "encoder_inverted": {"buffer_inverted"},
+    "encoder_stuck": {"buffer_stuck"},
+    "encoder_stuck_in_flight": {"buffer_stuck"},
+    "cell_drifts": set(),  # it is slow, and removed
+    "cell_offset": set(),  # removed, too
+    "cell_inverted": {"force_inverted"},
+    "cell_saturated": {"force_saturated"},
+}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return capture_sim.load_scene("tilt_p10")
+
+
+@pytest.mark.parametrize("kind", RULES_OF)
+def test_each_kind_breaks_its_rules_and_no_other(kind, scene, tmp_path):
+    run = read_run(dirty.write(tmp_path, kind), scene=scene)
+    assert {doubt.rule.name for doubt in run.doubts} == RULES_OF[kind]
+    refused = [doubt for doubt in run.doubts if doubt.grade is Grade.REFUSED]
+    assert all(
+        "must be" in d.text or "never tracked" in d.text or "are 0" in d.text for d in refused
+    )
+    if not refused:
+        assert checked(run).doubts == run.doubts
+        return
+    for judge in (checked, detect):
+        with pytest.raises(RecordingError) as error:
+            judge(run)
+        assert refused[0].rule.name in str(error.value)
+        assert "\n" not in str(error.value)
+    assert run.statuses == ()
+    waived = run.replaced(waived=[doubt.rule.name for doubt in refused])
+    assert not any(doubt.rule.name in waived.waived for doubt in waived.doubts)
+
+
+@pytest.mark.parametrize("kind", ["poses_in_mm", "w_first", "no_quaternion", "clocks"])
+def test_rules_that_need_no_scene_are_checked_without_one(kind, tmp_path):
+    kind = "poses_an_hour_ahead" if kind == "clocks" else kind
+    run = read_run(dirty.write(tmp_path, kind))
+    assert {doubt.rule.name for doubt in run.doubts} == RULES_OF[kind]
+    assert not any(doubt.rule.needs_scene for doubt in run.doubts)
+
+
+def test_series_that_are_left_out_are_gone_and_others_are_not(scene, tmp_path):
+    run = read_run(dirty.write(tmp_path, "joints_nan"), scene=scene)
+    series, doubts = checked(run)
+    assert "stroke" not in series
+    assert "torsion" not in series
+    assert series["chaser"].keys() == {"motion_capture/chaser"}
+    assert [doubt.topic for doubt in doubts] == ["/joint_states"]
+
+
+def test_a_simulated_run_needs_no_rules(scene):
+    run = capture_sim.simulate("tilt_p10", t_end=0.1)
+    assert run.evidence == ()
+    assert checked(run) == (run.series, ())
+
+
+def test_a_rule_that_does_not_exist_cannot_be_waived(scene):
+    with pytest.raises(capture_sim.SceneError, match=r"rule 'mm': not found; rules: .*tilted"):
+        check(capture_sim.plausibility.measured.Measured(), scene, waived=["mm"])
+
+
+def test_every_rule_has_a_grade_a_threshold_and_a_reason():
+    assert len(RULES) > 25
+    for rule in RULES.values():
+        assert rule.grade in Grade
+        assert rule.compares
+        assert rule.threshold
+        assert rule.reason
