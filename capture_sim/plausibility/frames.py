@@ -118,6 +118,7 @@ def out_of_plane(motion: Motion) -> Iterator[Said]:
     threshold="differ by more than the half-width of the cone's mouth",
     reason="with y up this is the lateral offset, at which the tip passes beside the cone",
     needs_scene=True,
+    needs_poses=True,
 )
 def heights_differ(motion: Motion) -> Iterator[Said]:
     """Base frames at different heights: with y up that is a lateral offset."""
@@ -193,6 +194,7 @@ def _listed(names: set[str]) -> str:
     threshold="median below a half",
     reason="the tip would be behind the cone's throat by 0.2 m",
     needs_scene=True,
+    needs_poses=True,
 )
 def bodies_overlap(motion: Motion) -> Iterator[Said]:
     """The same pose on both topics, or bodies that cannot be so near."""
@@ -221,6 +223,7 @@ def bodies_overlap(motion: Motion) -> Iterator[Said]:
     threshold=f"median > {_MAX_BEARING:g} rad (74 deg)",
     reason="the chaser launches along its x axis, and the cone opens towards -x of the target's: "
     "bodies swapped or frames turned by 90 deg or more are beyond, every launch of a scene is not",
+    needs_poses=True,
 )
 def not_facing(motion: Motion) -> Iterator[Said]:
     """Bodies swapped, and base frames that are turned."""
@@ -260,6 +263,7 @@ def not_facing(motion: Motion) -> Iterator[Said]:
     compares="motion of the chaser in the approach with its heading",
     threshold="moved by > 30 mm, more than 90 deg off its x axis, towards the target",
     reason="the chaser launches along its x axis",
+    needs_poses=True,
 )
 def moves_backwards(motion: Motion) -> Iterator[Said]:
     """A chaser that moves backwards along its own heading."""
