@@ -114,7 +114,7 @@ class LiveMeasurements:
         buffer = force = None
         if (found := channel("buffer")) is not None:
             kept, t, arrival, values = found
-            buffer = Deflections(kept.topic, t, arrival, (), *values.T)
+            buffer = Deflections(kept.topic, t, arrival, (), "", *values.T)
         if (found := channel("force")) is not None:
             kept, t, arrival, values = found
             force = Forces(kept.topic, t, arrival, tuple(kept.frame_ids), values)

@@ -89,6 +89,7 @@ class Poses(Channel):
 class Deflections(Channel):
     """State of the buffer."""
 
+    unused: str = ""  # why messages of the topic give no state, if none does
     stroke: np.ndarray = field(default_factory=_nothing)  # (n,), m, negative when compressed
     torsion: np.ndarray = field(default_factory=_nothing)  # (n,), rad
 

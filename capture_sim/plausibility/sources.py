@@ -84,6 +84,20 @@ def no_value(motion: Motion) -> Iterator[Said]:
 
 
 @rule(
+    "no_joints",
+    Grade.LEFT_OUT,
+    compares="joints of each message with buffer_slide and buffer_hinge",
+    threshold="no message has both",
+    reason="the position of the tip needs both",
+)
+def no_joints(motion: Motion) -> Iterator[Said]:
+    """Joint states of which none is the buffer's."""
+    buffer = motion.measured.buffer
+    if buffer is not None and buffer.unused and not buffer.count:
+        yield Said(buffer.topic, buffer.unused)
+
+
+@rule(
     "few_messages",
     Grade.LEFT_OUT,
     compares="number of messages of a source",

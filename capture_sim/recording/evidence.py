@@ -93,9 +93,18 @@ def _poses(bag: Bag, topic: Topic, origin: int) -> Poses | None:
 def _deflections(bag: Bag, topic: Topic, origin: int) -> Deflections | None:
     with suppress(CaptureSimError):
         stamps, values, log_times = bag.measured(topic)
+        if not stamps.size:
+            nothing = np.zeros(0)
+            return Deflections(
+                topic.absolute_name,
+                nothing,
+                unused=bag.unused(topic),
+                stroke=nothing,
+                torsion=nothing,
+            )
         if stamps.size:
             t, arrival = (stamps - origin) / 1e9, (log_times - origin) / 1e9
-            return Deflections(topic.absolute_name, t, arrival, (), *values[:, :2].T)
+            return Deflections(topic.absolute_name, t, arrival, (), "", *values[:, :2].T)
     return None
 
 

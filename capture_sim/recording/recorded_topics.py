@@ -221,7 +221,8 @@ class RecordedTopics:
                 first_error = first_error or error
                 unused["cannot be decoded"] += 1
                 continue
-            if stamp == 0:  # not set
+            if stamp == 0:
+                unused["stamp 0, which is not set"] += 1
                 continue
             values += (math.nan,) * (2 * size - len(values))
             rows.append((stamp, log_time, values))
