@@ -12,7 +12,7 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -22,6 +22,8 @@ from capture_sim.errors import CaptureSimError
 
 #: Longest time between two writes to the disk itself, s.
 _TO_DISK = 5.0
+#: The last entry of a study that has ended.
+_COMPLETE = "complete"
 
 
 class JournalError(CaptureSimError):
@@ -39,7 +41,7 @@ class Journal:
         Whose study it is, by name: a study is continued only if all of it is the same.
     resume
         Continue the study in the file, of which ``entries`` has what it computed.  False begins
-        anew; the unfinished study in the file is renamed, and ``replaced`` is its new name.
+        anew; the study in the file is renamed, and ``replaced`` is its name if it was unfinished.
 
     Raises
     ------
@@ -49,7 +51,8 @@ class Journal:
     """
 
     def __init__(self, path: Path, head: Mapping[str, Any], *, resume: bool = False) -> None:
-        self.path, self.entries, self.replaced = path, list[Any](), None
+        self.path, self.entries = path, list[Any]()
+        self.replaced: Path | None = None
         if resume and not path.exists():
             raise JournalError(f"--resume: {path}: there is no unfinished study")
         head = json.loads(_line(head))
@@ -57,17 +60,19 @@ class Journal:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = _locked(path)
             lines = _whole_lines(self._file)
+            self._is_complete = resume and lines[-1:] == [_COMPLETE]
             if resume and lines:
                 if differing := [key for key in head if lines[0].get(key) != head[key]]:
                     raise JournalError(
                         f"--resume: {path}: is of another study: {', '.join(differing)} must be "
                         "the same"
                     )
-                self.entries = lines[1:]
+                self.entries = _entries(lines)
             else:
                 if len(lines) > 1:
-                    self.replaced = path.with_name(f"{path.name}.unfinished")
-                    path.replace(self.replaced)
+                    before = path.with_name(f"{path.name}.before")
+                    path.replace(before)
+                    self.replaced = None if lines[-1] == _COMPLETE else before
                     self._file.close()
                     self._file = _locked(path)
                 self._file.truncate(0)
@@ -93,6 +98,11 @@ class Journal:
         while line:  # unbuffered: a full disk may take only a part
             line = line[self._file.write(line) :]
 
+    def finish(self) -> None:
+        """Note that the study is complete; its file stays."""
+        if not self._is_complete:
+            self.add(_COMPLETE)
+
     def remove(self) -> None:
         """Delete the file of a study that is complete."""
         with suppress(OSError):
@@ -116,11 +126,15 @@ def read_journal(path: Path) -> tuple[dict[str, Any], list[Any]]:
         with path.open("rb") as file:
             lines = [json.loads(line) for line in file.read().split(b"\n")[:-1]]
             head, *entries = lines
-            return dict(head), entries
+            return dict(head), _entries([head, *entries])
     except OSError as error:
         raise JournalError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, TypeError):
         raise JournalError(f"{path}: is no journal of a study") from None
+
+
+def _entries(lines: Sequence[Any]) -> list[Any]:
+    return [line for line in lines[1:] if line != _COMPLETE]
 
 
 def _line(data: Any) -> bytes:

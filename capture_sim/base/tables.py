@@ -6,11 +6,14 @@ import io
 from collections.abc import Iterable, Sequence
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 
 #: Width of a table that is not printed on a terminal: that of its contents.
 _UNLIMITED = 10_000
+#: Blanks between the columns of a printed table.
+_GAP = 4
 
 
 def make_table(
@@ -29,11 +32,37 @@ def make_table(
 
 
 def print_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> None:
-    """Print a table; without a terminal as wide as its contents and without bold text."""
+    """Print a table; without a terminal as wide as its contents and without bold text.
+
+    On a terminal that is too narrow, the columns that have no room follow in a table below, with
+    the first ``left`` columns again: no value is cut.
+    """
     console = Console(highlight=False, markup=False, emoji=False)
+    cells = [list(row) for row in rows]
     if not console.is_terminal:
         console.width = _UNLIMITED
-    console.print(make_table(head, rows, left=left, gap=4))
+    for columns in _blocks(head, cells, console.width, left):
+        shown = [[row[k] for k in columns if k < len(row)] for row in cells]
+        names = [head[k] for k in columns]
+        console.print(make_table(names, shown, left=left, gap=_GAP))
+
+
+def _blocks(
+    head: Sequence[str], rows: Sequence[Sequence[str]], width: int, left: int
+) -> list[list[int]]:
+    """Return the columns of each table that fits into a width."""
+    widths = []
+    for k, name in enumerate(head):
+        lines = [*name.split("\n"), *(row[k] for row in rows if k < len(row))]
+        widths.append(max(map(cell_len, lines)) + _GAP - 1)
+    first = list(range(min(left, len(head))))
+    blocks = [first[:]]
+    for k in range(len(first), len(head)):
+        used = sum(widths[n] + 1 for n in blocks[-1])
+        if used + widths[k] > width and len(blocks[-1]) > len(first):
+            blocks.append(first[:])
+        blocks[-1].append(k)
+    return blocks
 
 
 def table_text(

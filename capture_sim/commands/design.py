@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import math
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -13,6 +15,8 @@ from rich.console import Console
 
 from capture_sim.base.exit_status import FAILED, INTERRUPTED, OK
 from capture_sim.base.interrupts import terminated_as_interrupted
+from capture_sim.base.journal import Journal, read_journal
+from capture_sim.base.software import software_versions
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.design_report import (
     outcome_of,
@@ -24,6 +28,7 @@ from capture_sim.commands.design_report import (
 from capture_sim.commands.inputs import (
     add_limits,
     add_out,
+    add_resume,
     add_scene,
     add_seed,
     add_under,
@@ -36,17 +41,17 @@ from capture_sim.commands.inputs import (
     reader,
     whole,
 )
-from capture_sim.commands.output import (
-    drawing,
-    echo,
-    warn,
-)
+from capture_sim.commands.output import Progress, drawing, echo, warn
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range
+from capture_sim.scene.units import in_si, split
 from capture_sim.studies.candidates import (
     CHECK_DRAWS,
     DRAWS,
+    EARLIER,
+    SEARCH,
+    Archive,
     Candidate,
     Dispersions,
     Requirements,
@@ -55,9 +60,12 @@ from capture_sim.studies.capture_range import AREAS, make_area
 from capture_sim.studies.design import (
     CANDIDATES,
     CANDIDATES_OF_AREA,
+    CANDIDATES_OF_DRAWS,
     MAX_ROWS,
     Design,
+    Window,
     costs_of_limits,
+    default_candidates,
     design_buffer,
 )
 from capture_sim.studies.executors import open_executor
@@ -82,9 +90,10 @@ from capture_sim.studies.paper_flow import (
 from capture_sim.studies.variables import FREE, TORSIONAL, make_variables
 
 DESCRIPTION = (
-    "Find the buffers that capture within limits and that no other buffer beats in all objectives: "
-    "one buffer for one objective, the front for two or three. Each row of the table over the "
-    "front is also a scene. If no buffer captures within the limits, print the one that comes "
+    "Find the buffers that capture within limits, keep the tip captured until t_end, and that no "
+    "other buffer beats in all objectives: one buffer for one objective, the front for two or "
+    "three. Each row of the table is also a scene, and says how far it has converged. "
+    "If no buffer captures within the limits, print the one that comes "
     "closest among the ones tried (exit status 1). Limits apply to the whole run, including the "
     "latched phase. Without limits and objectives, the strokes of the scene's own buffer are the "
     "limits. With --first-contact, design as in the paper: for strokes of the first contact."
@@ -140,6 +149,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "the line between both ends of the front on logarithmic axes)",
     )
     parser.add_argument(
+        "--window",
+        metavar="LOAD=LOW:HIGH",
+        help="space the rows over these values of an objective, e.g. "
+        "max_axial_stroke_in=3:10mm (default: over the whole front)",
+    )
+    parser.add_argument(
+        "--allow-leaving",
+        action="store_true",
+        help="accept a capture that the tip has left again at t_end",
+    )
+    parser.add_argument(
         "--stroke-limit",
         type=in_unit("mm"),
         metavar="MM",
@@ -163,17 +183,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[=LOW:HIGH],..",
-        help="search these values, e.g. buffer.k_A,buffer.c_A=5:50,buffer.preload; may be repeated "
-        f"(default: {','.join(FREE)}). buffer.c_A_rebound keeps its ratio to buffer.c_A unless it "
-        "is free",
+        help="search these values, e.g. buffer.k_A,buffer.c_A=5:50,buffer.preload, or a catalogue, "
+        f"buffer.k_A=[450,500,560]; may be repeated (default: {','.join(FREE)}). damping_ratio is "
+        "the damper as a share of the critical one. buffer.c_A_rebound keeps its ratio to "
+        "buffer.c_A unless it is free",
     )
     parser.add_argument(
         "--candidates",
         type=whole(Range(100, 1_000_000)),
         metavar="N",
-        help=f"try at most N buffers before those under dispersions (default: {CANDIDATES}, or "
-        f"{CANDIDATES_OF_AREA} with --approach)",
+        help=f"try at most N buffers in all (default: {CANDIDATES}, {CANDIDATES_OF_DRAWS} with "
+        f"--under, {CANDIDATES_OF_AREA} with --approach)",
     )
+    parser.add_argument(
+        "--from",
+        type=Path,
+        dest="earlier",
+        metavar="DIR",
+        help="begin with the runs of an earlier design of the same scene: with other limits, "
+        "ranges or objectives, or more candidates",
+    )
+    add_resume(parser, "design")
     add_seed(parser, "the search and of the draws")
     add_under(parser, "require the limits under the distributions of this YAML file")
     parser.add_argument(
@@ -218,64 +248,169 @@ def run(options: argparse.Namespace) -> int:
     scene = load(options.scene, options.overrides)
     if options.first_contact:
         return _design_first_contact(scene, options)
-    free = [name for text in options.free for name in text.split(",")] or list(FREE)
+    free = _free(options.free)
     under = Dispersions(*dispersions(options)) if options.under is not None else None
     given, objectives = _limits(options), _objectives(options, free)
-    area = make_area(scene, options.approach)
+    if len(objectives) == 1 and options.pick != "knee":
+        raise SceneError(f"--pick {options.pick}: must be omitted with one objective: one buffer")
+    window = _window(options.window, objectives) if options.window is not None else None
     requirements = Requirements(
         objectives,
         given,
         under,
         options.confidence or 0.95,
         options.draws or DRAWS,
-        area,
+        make_area(scene, options.approach),
         options.capture_range,
+        options.allow_leaving,
     )
     make_variables(scene, given, free)  # before anything runs
     require_pymoo()
+    earlier = _earlier(options.earlier, scene) if options.earlier is not None else []
     prepare_folder(options.out)
     compile_first()
     if not (given or options.minimize or options.maximize):
         requirements = dataclasses.replace(requirements, limits=_own_limits(scene))
+    with _journal(scene, requirements, free, options) as journal:
+        archive = Archive(journal)
+        if not journal.entries:
+            for entry in earlier:
+                archive.add(*entry)
+        return _design(scene, requirements, free, window, options, archive, journal)
+
+
+def _design(
+    scene: Scene,
+    requirements: Requirements,
+    free: Sequence[str],
+    window: Window | None,
+    options: argparse.Namespace,
+    archive: Archive,
+    journal: Journal,
+) -> int:
+    """Search, report and write the front; return the exit status."""
+    objectives = requirements.objectives
     echo(f"objectives: {', '.join(each.meaning for each in objectives)}")
     limits = [limit.text for limit in requirements.limits]
     if options.capture_range:
         limits.append(f"capture range >= {options.capture_range:.4g}")
     echo(f"limits: {', '.join(limits) or 'none'}")
     costs: tuple[LimitCost, ...] = ()
+    budget = options.candidates or default_candidates(requirements)
     with (
         terminated_as_interrupted(),
         open_executor(options.workers, options.scheduler) as executor,
+        Progress("buffers") as progress,
     ):
-        with _Candidates(_line_of(objectives), verbose=options.verbose) as candidates:
-            design = design_buffer(
-                scene,
-                requirements,
-                free,
-                candidates=options.candidates,
-                seed=options.seed,
-                executor=executor,
-                report=candidates.show,
-            )
+        line, count = _line_of(objectives), itertools.count(1)
+
+        def show(candidate: Candidate) -> None:
+            number = next(count)
+            if options.verbose:
+                echo(f"{number:5d}  {line(candidate)}")
+            progress.at("design", number, budget)
+
+        design = design_buffer(
+            scene,
+            requirements,
+            free,
+            window=window,
+            candidates=budget,
+            seed=options.seed,
+            executor=executor,
+            report=show,
+            archive=archive,
+        )
         picked = _picked(design, options.pick)
         if picked is not None and not design.interrupted:
             try:
                 costs = costs_of_limits(
-                    design, design.rows[picked], seed=options.seed, executor=executor
+                    design,
+                    design.rows[picked],
+                    seed=options.seed,
+                    executor=executor,
+                    candidates=budget,
                 )
             except KeyboardInterrupt:
                 design = dataclasses.replace(design, interrupted=True)
     report_front(design, picked, costs)
     write_front(design, picked, costs, options.out, options.seed)
     if design.interrupted:
-        warn(f"interrupted: {len(design.history)} buffers tried, written to {options.out}")
+        warn(
+            f"interrupted: {len(design.history)} buffers tried, written to {options.out}; "
+            "--resume continues"
+        )
         return INTERRUPTED
     with drawing():
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.design import draw_design
 
         echo(f"plot in {save(draw_design(design, picked), options.out / 'design.png')}")
+    journal.finish()
     return OK if design.met else FAILED
+
+
+def _free(texts: Sequence[str]) -> list[str]:
+    """Return the free values of some lists; a catalogue in brackets has commas of its own."""
+    items = [item for text in texts for item in re.split(r",(?![^\[]*\])", text)]
+    return items or list(FREE)
+
+
+def _window(text: str, objectives: Sequence[Measure]) -> Window:
+    """Return the window of an objective, ``LOAD=LOW:HIGH``; a unit at the end is of both."""
+    key, _, ends = (part.strip() for part in text.partition("="))
+    measure = next((each for each in objectives if each.key == key), None)
+    if measure is None or len(objectives) < 2:
+        keys = ", ".join(each.key for each in objectives) if len(objectives) > 1 else ""
+        raise SceneError(f"--window {text}: must be of one of two or three objectives {keys}")
+    low, _, high = (part.strip() for part in ends.partition(":"))
+    try:
+        number, unit = split(low)
+        low = low if unit else f"{number} {split(high)[1]}".strip()
+        window = Window(key, in_si(low, measure.load.unit), in_si(high, measure.load.unit))
+    except ValueError:
+        raise SceneError(
+            f"--window {text}: must be {key}=LOW:HIGH, in {measure.load.unit} or with a unit"
+        ) from None
+    if not 0.0 < window.low < window.high < math.inf:
+        raise SceneError(f"--window {text}: must be 0 < LOW < HIGH")
+    return window
+
+
+#: The runs of a design, in its folder.
+_JOURNAL = "design.journal"
+
+
+def _journal(
+    scene: Scene, requirements: Requirements, free: Sequence[str], options: argparse.Namespace
+) -> Journal:
+    """Return the journal of the runs, with those of an interrupted design."""
+    head: dict[str, Any] = {"study": "design", "software": list(software_versions())}
+    head["scene"] = scene.to_yaml()
+    under = requirements.under
+    kept = dataclasses.replace(requirements, under=None, area=())
+    head |= {"requirements": repr(kept), "free": list(free), "window": options.window}
+    head |= {"area": options.approach, "candidates": options.candidates, "seed": options.seed}
+    if under is not None:
+        varied = {name: str(given) for name, given in under.vary.items()}
+        head["under"] = varied
+        head["correlate"] = options.correlate
+    journal = Journal(options.out / _JOURNAL, head, resume=options.resume)
+    if journal.replaced is not None:
+        warn(f"the unfinished design of before is now {journal.replaced}; --resume continues one")
+    if options.resume:
+        echo(f"{sum(len(entry[2]) for entry in journal.entries)} runs were made before")
+    return journal
+
+
+def _earlier(folder: Path, scene: Scene) -> list[tuple[Any, ...]]:
+    """Return the runs of an earlier design, as entries of an archive."""
+    head, entries = read_journal(folder / _JOURNAL)
+    if head.get("scene") != scene.to_yaml():
+        raise SceneError(f"--from {folder}: must be a design of the same scene")
+    if head.get("software") != list(software_versions()):
+        raise SceneError(f"--from {folder}: must be of this version of capture_sim")
+    return [(EARLIER, *entry[1:]) for entry in entries if entry[0] in (SEARCH, EARLIER)]
 
 
 def _pick(text: str) -> int | str:
@@ -310,6 +445,8 @@ def _check(options: argparse.Namespace) -> None:
         others |= {"--draws": options.draws, "--minimize": options.minimize}
         others |= {"--maximize": options.maximize, "--approach": options.approach}
         others |= {"--capture-range": options.capture_range, "--candidates": options.candidates}
+        others |= {"--window": options.window, "--allow-leaving": options.allow_leaving}
+        others |= {"--from": options.earlier, "--resume": options.resume}
         for name, value in others.items():
             if value:
                 raise SceneError(f"{name}: must be given without --first-contact")

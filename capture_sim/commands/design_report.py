@@ -6,7 +6,7 @@ import csv
 import dataclasses
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,11 @@ from capture_sim.recording.sweep_file import head_of
 from capture_sim.run.loads import LOADS, implausible_stroke
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.candidates import CHECK_DRAWS, Candidate
-from capture_sim.studies.design import Design, Row, beaten_by
-from capture_sim.studies.limit_costs import STEP, LimitCost
+from capture_sim.studies.design import LONGEST, SHARP, Design, Row, beaten_by
+from capture_sim.studies.limit_costs import STEPS, Change, LimitCost
 from capture_sim.studies.limits import CAPTURE_RANGE, LOAD_KEYS, Limit, Measure
 from capture_sim.studies.outcome import CAPTURED, Outcome, run_to_end
+from capture_sim.studies.variables import DAMPING_RATIO
 
 
 def report_front(design: Design, picked: int | None, costs: Sequence[LimitCost]) -> None:
@@ -30,8 +31,9 @@ def report_front(design: Design, picked: int | None, costs: Sequence[LimitCost])
         echo(f"no buffer found: {design.refusal}")
         return
     if len(design.rows) > 1:
-        echo(f"front of {len(design.front)} buffers; {_picked_text(design, picked)}\n")
+        echo(f"front of {len(design.rows)} buffers; {_picked_text(design, picked)}\n")
     _print_front(design)
+    _print_notes(design)
     _print_own(design)
     row = design.rows[picked]
     _print_buffer(design, row)
@@ -68,19 +70,85 @@ def _print_front(design: Design) -> None:
     head += [f"{each.meaning}\n{each.load.shown_in}" for each in measures]
     head += [f"{each.name.removeprefix('buffer.')}\n{each.unit}" for each in variables]
 
-    def cells(name: str, candidate: Candidate) -> list[str]:
+    details = _details(design)
+    head += details
+
+    def cells(name: str, candidate: Candidate, row: Row | None) -> list[str]:
         loads = [_text_of(each, candidate) for each in measures]
-        return [name, *loads, *(f"{candidate.values[each.name]:.4g}" for each in variables)]
+        values = [f"{candidate.values[each.name]:.4g}" for each in variables]
+        return [name, *loads, *values, *(show(candidate, row) for show in details.values())]
 
     rows = [
-        cells(f"{number}{' knee' if row.is_knee and len(design.rows) > 1 else ''}", row.candidate)
+        cells(
+            f"{number}{' knee' if row.is_knee and len(design.rows) > 1 else ''}", row.candidate, row
+        )
         for number, row in enumerate(design.rows, 1)
     ]
-    print_table(head, [*rows, cells("own", design.own)])
+    print_table(head, [*rows, cells("own", design.own, None)])
     if design.requirements.under is not None and design.interrupted:
         echo("loads: of the scene without dispersions, as the search was interrupted")
     elif design.requirements.under is not None:
         echo(f"loads: at {design.requirements.confidence:.4g} of {CHECK_DRAWS} new draws")
+
+
+#: Text of a candidate, and of its row if it is one, in a column.
+_Show = Callable[[Candidate, Row | None], str]
+
+
+def _details(design: Design) -> dict[str, _Show]:
+    """Return the columns that say how good a row is, by their heads."""
+    details: dict[str, _Show] = {"found": lambda _, row: row.convergence if row else ""}
+    if any(row.stays is not None for row in design.rows):
+        details["stays\nuntil s"] = _stays_text
+    elif any(each.left_again for each in (design.own, *design.front)):
+        details["left\nagain"] = lambda candidate, _: "yes" if candidate.left_again else "no"
+    if any(row.sharpness for row in design.rows):
+        details[f"{SHARP:.0%} off:\nworse by"] = lambda _, row: _sharpness_text(row)
+        if design.requirements.limits:
+            details[f"{SHARP:.0%} off:\nexcess"] = lambda _, row: (
+                f"{row.sharpness.excess:.2%}" if row and row.sharpness else ""
+            )
+    return details
+
+
+def _stays_text(candidate: Candidate, row: Row | None) -> str:
+    if row is None or row.stays is None:
+        return "left" if candidate.left_again else ""
+    return f"{row.stays:g}" if row.stays else "left"
+
+
+def _sharpness_text(row: Row | None) -> str:
+    if row is None or row.sharpness is None:
+        return ""
+    lost = " lost" if row.sharpness.not_held else ""
+    return f"{row.sharpness.change:.2%}{lost}" if not math.isnan(row.sharpness.change) else "lost"
+
+
+def _print_notes(design: Design) -> None:
+    """Print what a reader of the table must know: ends of ranges, other loads, staying."""
+    for number, row in enumerate(design.rows, 1):
+        where = f"row {number}: " if len(design.rows) > 1 else ""
+        if row.at_ends:
+            echo(f"{where}{'; '.join(row.at_ends)}: another range would give another buffer")
+        if row.grown:
+            loads = ", ".join(
+                f"{each.meaning} {each.shown(row.candidate.loads[each.key])} {each.load.shown_in} "
+                f"({factor:.2g} times the own buffer's)"
+                for each, factor in row.grown
+            )
+            echo(f"{where}no limit on {loads}")
+    if len(design.rows) > 1 and any(row.at_ends for row in (design.rows[0], design.rows[-1])):
+        echo("an end of the front is an end of a range, so the knee depends on the ranges")
+    if any(row.sharpness and row.sharpness.not_held for row in design.rows):
+        echo(f"lost: with one value {SHARP:.0%} off, a run does not stay captured")
+    if (ends := [row.stays for row in design.rows if row.stays is not None]) and min(ends) < (
+        LONGEST * design.scene.run.t_end
+    ):
+        echo(
+            f"no latch: each row was also run to {3.0 * design.scene.run.t_end:g} and "
+            f"{LONGEST * design.scene.run.t_end:g} s; a row that does not stay until then leaves "
+            "between"
+        )
 
 
 def _text_of(measure: Measure, candidate: Candidate) -> str:
@@ -98,7 +166,7 @@ def _print_own(design: Design) -> None:
     if own.verdict != CAPTURED:
         echo(f"the scene's own buffer ends {own.verdict}")
         return
-    excess = [each for each in design.requirements.limits if each.use(own.loads[each.key]) > 1.0]
+    excess = [each for each in design.requirements.limits if each.is_exceeded(own.loads[each.key])]
     if excess:
         echo(f"the scene's own buffer exceeds {', '.join(limit.text for limit in excess)}")
     parts = []
@@ -118,28 +186,44 @@ def _print_costs(costs: Sequence[LimitCost], objectives: Sequence[Measure]) -> N
     """Print what the active limits cost in the objectives."""
     if not costs:
         return
-    echo(f"\nactive limits, and the change of each objective with {STEP:.0%} more of them")
+    steps = " and ".join(f"{step:.0%}" for step in STEPS)
+    echo(f"\nactive limits, and the change of each objective with {steps} more of them")
+    head = ["limit", "used"]
+    head += [f"{each.meaning}\nwith {step:+.0%}" for step in STEPS for each in objectives]
     rows = [
         [
-            f"{cost.limit.text}",
-            f"{cost.use:.1%}",
-            *(f"{change.value:+.2%} +- {change.deviation:.2%}" for change in cost.changes),
+            cost.limit.text,
+            f"{cost.use:.2%}",
+            *(_change_text(change) for changes in cost.changes for change in changes),
         ]
         for cost in costs
     ]
-    print_table(["limit", "used", *(each.meaning for each in objectives)], rows)
+    print_table(head, rows)
+
+
+def _change_text(change: Change) -> str:
+    """Return a change with its error, both with digits enough not to be 0."""
+    if math.isnan(change.value):
+        return "not found"
+    digits = min(max(1 - math.floor(math.log10(change.error * 100.0)), 2), 5)
+    if abs(change.value) < change.error:
+        return f"less than {change.error:.{digits}%}"
+    return f"{change.value:+.{digits}%} +- {change.error:.{digits}%}"
 
 
 def _print_buffer(design: Design, row: Row) -> None:
     values = dict(row.candidate.values)
-    rebound = design.scene_of(row.candidate).buffer.c_A_rebound
+    buffer = design.scene_of(row.candidate).buffer
+    rebound = buffer.c_A_rebound
+    if DAMPING_RATIO in values:
+        values["buffer.c_A"] = buffer.c_A
     if rebound is not None:
         values["buffer.c_A_rebound"] = rebound
     units = {variable.name: variable.unit for variable in design.variables}
-    units["buffer.c_A_rebound"] = "N s/m"
+    units["buffer.c_A_rebound"] = units["buffer.c_A"] = "N s/m"
     echo(
         ", ".join(
-            f"{name.removeprefix('buffer.')} = {value:.5g} {units[name]}"
+            f"{name.removeprefix('buffer.')} = {value:.5g} {units[name]}".rstrip()
             for name, value in values.items()
         )
     )
@@ -198,12 +282,26 @@ def write_front(
             "verdict": candidate.verdict,
             "violation": candidate.violation,
             "share": candidate.share,
+            "left_again": candidate.left_again,
+        }
+
+    def plain_row(row: Row) -> dict[str, Any]:
+        return {
+            **plain(row.candidate),
+            "convergence": row.convergence,
+            "stays_until": row.stays,
+            "at_ends": row.at_ends,
+            "sharpness": row.sharpness and _without_nan(dataclasses.asdict(row.sharpness)),
+            "grown": {each.key: factor for each, factor in row.grown},
         }
 
     kept: dict[str, Any] = {"refusal": design.refusal, "seed": seed}
     kept["objectives"] = [each.key for each in requirements.objectives]
     kept["limits"] = {limit.key: limit.value for limit in requirements.limits}
-    kept["free"] = {each.name: [each.low, each.high] for each in design.variables}
+    kept["free"] = {
+        each.name: list(each.choices) if each.choices else [each.low, each.high]
+        for each in design.variables
+    }
     if requirements.under is not None:
         kept["under"] = {name: str(given) for name, given in requirements.under.vary.items()}
         kept["confidence"] = requirements.confidence
@@ -219,10 +317,18 @@ def write_front(
         outcome = run_to_end(design.scene_of(row.candidate))
     kept |= outcome_of(outcome)
     kept["costs"] = [
-        {"limit": cost.limit.key, "use": cost.use, "changes": cost.changes} for cost in costs
+        {
+            "limit": cost.limit.key,
+            "use": cost.use,
+            "changes": {
+                f"{step:g}": [_without_nan(change._asdict()) for change in changes]
+                for step, changes in zip(STEPS, cost.changes, strict=True)
+            },
+        }
+        for cost in costs
     ]
     kept["own"] = plain(design.own)
-    kept["rows"] = [plain(row.candidate) for row in design.rows]
+    kept["rows"] = [plain_row(row) for row in design.rows]
     kept["history"] = [plain(candidate) for candidate in design.history]
     for old in folder.glob("design_[0-9][0-9].yaml"):
         old.unlink()  # of an earlier design with more rows
@@ -236,21 +342,28 @@ def write_front(
     write_design(kept, picked_scene, folder)
 
 
+def _without_nan(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: None if x != x else x for key, x in values.items()}
+
+
 def _front_csv(design: Design) -> str:
-    """Return the front as CSV, units in the head: row in the table, free values, all loads, SI."""
-    numbers = {id(row.candidate): k for k, row in enumerate(design.rows, 1)}
+    """Return the front as CSV, units in the head: free values, all loads, SI; how it was found."""
     keys = [*LOAD_KEYS, *([CAPTURE_RANGE] if design.requirements.area else [])]
     head = ["row", "knee", *(head_of(each.name, each.unit) for each in design.variables)]
     head += [head_of(key, Measure(key).load.unit.replace("1", "")) for key in keys]
+    head += ["left_again", "found", "stays_until [s]", "change_if_1_percent_off"]
+    head += ["excess_if_1_percent_off", "at_ends"]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(head)
-    for candidate in design.front:
-        number = numbers.get(id(candidate), "")
-        is_knee = bool(number) and design.rows[int(number) - 1].is_knee
+    for number, row in enumerate(design.rows, 1):
+        candidate, sharp = row.candidate, row.sharpness
         values = [candidate.values[each.name] for each in design.variables]
         loads = ["" if math.isnan(x := candidate.loads[key]) else x for key in keys]
-        writer.writerow([number, "knee" if is_knee else "", *values, *loads])
+        found = [candidate.left_again, row.convergence, "" if row.stays is None else row.stays]
+        found += [sharp.change, sharp.excess] if sharp else ["", ""]
+        found.append("; ".join(row.at_ends))
+        writer.writerow([number, "knee" if row.is_knee else "", *values, *loads, *found])
     return text.getvalue()
 
 

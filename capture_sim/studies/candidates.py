@@ -1,8 +1,9 @@
 """How a design evaluates buffers: by the scene's own run, under dispersions, and over an area.
 
-A buffer is feasible if its run ends in a capture and keeps all limits.  Infeasible ones are
-compared by their violation: the sum of the shares by which limits are exceeded; a run without a
-capture is worse, by its distance from BE, and a run that stopped is worst.
+A buffer is feasible if its run ends in a capture that the tip has not left again, and keeps all
+limits.  Infeasible ones are compared by their violation: the logarithm of the worst ratio of a load
+to its limit; a capture that the tip left again is worse, then a run without a capture, by its
+distance from BE, and a run that stopped is worst.
 
 Under dispersions, a candidate is run with the same draws as all others.  Its loads are then
 quantiles: what the required number of draws does not exceed.  As the best candidate is the one that
@@ -20,10 +21,11 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from capture_sim.base.journal import Journal
 from capture_sim.errors import SceneError
 from capture_sim.scene import paths
 from capture_sim.scene.parts import Scene
@@ -31,21 +33,21 @@ from capture_sim.studies.axes import Axis
 from capture_sim.studies.capture_range import capture_ranges, points_of
 from capture_sim.studies.dispersion import Probability, probability
 from capture_sim.studies.executors import answers
-from capture_sim.studies.limits import CAPTURE_RANGE, LOAD_KEYS, Limit, Measure
+from capture_sim.studies.limits import CAPTURE_RANGE, LOAD_KEYS, ROUND_OFF, Limit, Measure
 from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.sampling import Correlations
 from capture_sim.studies.sweep import FAILED, Recipe, result_columns, run_rows, samples_of
-from capture_sim.studies.variables import rebound_of
+from capture_sim.studies.variables import fields_of
 
 #: Draws of each candidate, and new draws of the check at the end.
 DRAWS, CHECK_DRAWS = 60, 400
 #: Share of the draws after which a candidate is given up that can no longer be feasible.
 _FIRST_DRAWS = 0.25
-#: A limit is violated by the share by which it is exceeded, up to the first of these.  Every run
-#: without a capture is worse, by its distance from BE, and a run that stopped is worst.
-_MAX_EXCESS, _NO_CAPTURE, _STOPPED = 100.0, 1e4, 1e6
+#: A limit is violated by the logarithm of load over limit, up to the first of these; a capture that
+#: is left, a run without a capture and one that stopped by more, each than all before.
+_MAX_EXCESS, _LEFT, _NO_CAPTURE, _STOPPED = 5.0, 6.0, 12.0, 100.0
 #: Runs with draws are made only of candidates whose own run violates by less.
-_WORTH_DRAWS = 0.5
+_WORTH_DRAWS = 0.4
 #: Runs over the area are made only of candidates whose own run violates by less; the others count
 #: as capturing nothing, which is a violation of 1 more where a capture range is required.
 _WORTH_AREA = 0.1
@@ -84,6 +86,8 @@ class Requirements:
         Area of approach for the capture range, see :mod:`capture_sim.studies.capture_range`.
     least_range : float
         Least capture range, 0 to 1.
+    allow_leaving : bool
+        Whether a capture counts that the tip has left again at ``run.t_end``.
     """
 
     objectives: tuple[Measure, ...]
@@ -93,12 +97,22 @@ class Requirements:
     draws: int = DRAWS
     area: tuple[Axis, ...] = ()
     least_range: float = 0.0
+    allow_leaving: bool = False
 
     def __post_init__(self) -> None:
         """Raise SceneError if a capture range is asked for without an area."""
         asked = self.least_range or any(each.key == CAPTURE_RANGE for each in self.objectives)
         if asked and not self.area:
             raise SceneError("capture_range: must have an area of approach (--approach)")
+
+    def tightened(self, share: float) -> Requirements:
+        """Return the requirements with limits that are smaller by a share."""
+        return dataclasses.replace(self, limits=tuple(x.scaled(1.0 - share) for x in self.limits))
+
+    def with_limit(self, limit: Limit, factor: float) -> Requirements:
+        """Return the requirements with one limit times a factor."""
+        limits = tuple(x.scaled(factor) if x == limit else x for x in self.limits)
+        return dataclasses.replace(self, limits=limits)
 
 
 @dataclass(frozen=True)
@@ -114,6 +128,7 @@ class Candidate:
     violation: float  # 0: feasible
     share: float | None = None  # of the draws that are captured within the limits; None without
     range_error: float = math.nan  # of the capture range
+    left_again: bool = False  # the tip was captured, and is outside at t_end
 
     @property
     def feasible(self) -> bool:
@@ -134,8 +149,73 @@ def _number(value: float) -> float:
     return 0.0 if math.isnan(value) else value
 
 
+#: Kinds of runs in an archive: at the tolerance of the search, and those of an earlier design.
+SEARCH, EARLIER = "search", "earlier"
+
+
+class _Runs(NamedTuple):
+    """Some runs, in order."""
+
+    verdicts: list[str]
+    left_again: list[bool]
+    loads: np.ndarray  # (n, keys), SI
+    violations: np.ndarray  # (n,)
+
+
+#: What is kept of a run: verdict, left again, distance from BE, loads.
+_Result = tuple[Any, ...]
+
+
+class Archive:
+    """All runs of a design by what was run, in a journal or in memory alone.
+
+    A run that is in the archive is not made again: so a design that was killed continues to the
+    same result as an undisturbed one.
+    """
+
+    def __init__(self, journal: Journal | None = None) -> None:
+        self._journal = journal
+        self._known: dict[tuple[str, tuple[str, ...], tuple[float, ...]], _Result] = {}
+        #: Runs of an earlier design as (names, values), with which this one begins.
+        self.earlier: list[tuple[tuple[str, ...], tuple[float, ...]]] = []
+        for entry in journal.entries if journal is not None else ():
+            self._learn(*entry)
+
+    def add(
+        self,
+        kind: str,
+        names: Sequence[str],
+        rows: Sequence[Sequence[float]],
+        results: Sequence[_Result],
+    ) -> None:
+        """Keep runs; those of ``kind`` ``earlier`` are of a design that this one begins with."""
+        if self._journal is not None:
+            self._journal.add([kind, names, rows, results])
+        self._learn(kind, names, rows, results)
+
+    def _learn(
+        self,
+        kind: str,
+        names: Sequence[str],
+        rows: Sequence[Sequence[float]],
+        results: Sequence[_Result],
+    ) -> None:
+        if kind == EARLIER:
+            self.earlier += [(tuple(names), tuple(row)) for row in rows]
+            kind = SEARCH
+        for row, result in zip(rows, results, strict=True):
+            self._known[kind, tuple(names), tuple(row)] = tuple(result)
+
+    def get(self, kind: str, names: tuple[str, ...], row: tuple[float, ...]) -> _Result | None:
+        """Return what came of a run; None if it was not made."""
+        return self._known.get((kind, names, row))
+
+
 class Evaluator:
-    """Runs buffers; ``history`` has all candidates in order."""
+    """Runs buffers; ``history`` has all candidates in order.
+
+    ``kind`` names the scene's run settings in the archive.
+    """
 
     def __init__(
         self,
@@ -144,11 +224,23 @@ class Evaluator:
         seed: int,
         executor: Executor,
         report: Callable[[Candidate], None] | None = None,
+        archive: Archive | None = None,
+        kind: str = SEARCH,
     ) -> None:
         self._scene, self._requirements = scene, requirements
         self._seed, self._executor, self._report = seed, executor, report
+        self._archive, self._kind = archive or Archive(), kind
         self.history: list[Candidate] = []
         self._columns = result_columns(check=False, limited=False)
+        wanted = ("verdict", "left_again", "nearest_distance", *LOAD_KEYS)
+        self._wanted = [self._columns.index(name) for name in wanted]
+
+    def under(self, requirements: Requirements) -> Evaluator:
+        """Return an evaluator of the same scene under other requirements."""
+        return Evaluator(
+            *(self._scene, requirements, self._seed, self._executor, self._report),
+            *(self._archive, self._kind),
+        )
 
     def alone(self, values: Sequence[Mapping[str, float]]) -> list[Candidate]:
         """Return candidates by the scene's own run."""
@@ -162,37 +254,61 @@ class Evaluator:
         return candidates
 
     def _alone(self, values: Sequence[Mapping[str, float]]) -> list[Candidate]:
-        rows = [{**each, **rebound_of(self._scene, each)} for each in values]
-        verdicts, loads, violations = self._run(rows)
+        runs = self._run([fields_of(self._scene, each) for each in values])
         found = [
-            Candidate(each, dict(zip(LOAD_KEYS, of_row, strict=True)), verdict, violation)
-            for each, of_row, verdict, violation in zip(
-                values, loads.tolist(), verdicts, violations.tolist(), strict=True
+            Candidate(
+                *(each, dict(zip(LOAD_KEYS, loads, strict=True)), verdict, violation),
+                left_again=left_again,
+            )
+            for each, loads, verdict, violation, left_again in zip(
+                values,
+                *(runs.loads.tolist(), runs.verdicts, runs.violations.tolist(), runs.left_again),
+                strict=True,
             )
         ]
         return self._with_ranges(found) if self._requirements.area else found
 
-    def _run(self, rows: Sequence[Mapping[str, float]]) -> tuple[list[str], np.ndarray, np.ndarray]:
-        """Return verdicts, loads (n, keys) and violations (n,) of some runs."""
-        size = max(min(_RUNS_OF_CHUNK, len(rows) // _CHUNKS), 1)
+    def _run(self, rows: Sequence[Mapping[str, float]]) -> _Runs:
+        """Return some runs; those in the archive are not made again."""
+        names = tuple(rows[0])
         values = [tuple(row.values()) for row in rows]
-        chunks = [values[k : k + size] for k in range(0, len(rows), size)]
-        work = partial(run_rows, Recipe(self._scene, tuple(rows[0])), False, ())
-        done = [row for results in answers(self._executor, work, chunks) for row in results]
-        by_name = dict(zip(self._columns, zip(*done, strict=True), strict=True))
-        loads = np.array([by_name[key] for key in LOAD_KEYS], dtype=float).T
-        return list(by_name["verdict"]), loads, self._violations(by_name, loads)
+        found = [self._archive.get(self._kind, names, row) for row in values]
+        missing = [k for k, result in enumerate(found) if result is None]
+        size = max(min(_RUNS_OF_CHUNK, len(missing) // _CHUNKS), 1)
+        chunks = [missing[k : k + size] for k in range(0, len(missing), size)]
+        work = partial(run_rows, Recipe(self._scene, names), False, ())
+        tasks = [[values[k] for k in chunk] for chunk in chunks]
+        for chunk, task, done in zip(
+            chunks, tasks, answers(self._executor, work, tasks), strict=True
+        ):
+            results = [tuple(row[k] for k in self._wanted) for row in done]
+            self._archive.add(self._kind, names, task, results)
+            for k, result in zip(chunk, results, strict=True):
+                found[k] = result
+        verdicts, left, nearest, *loads = zip(*(each for each in found if each), strict=True)
+        by_load = np.array(loads, dtype=float).T
+        lefts = [bool(each) for each in left]
+        violations = self._violations(verdicts, lefts, np.array(nearest, dtype=float), by_load)
+        return _Runs(list(verdicts), lefts, by_load, violations)
 
-    def _violations(self, by_name: Mapping[str, Sequence[Any]], loads: np.ndarray) -> np.ndarray:
+    def _violations(
+        self,
+        verdicts: Sequence[str],
+        left: Sequence[bool],
+        nearest: np.ndarray,
+        loads: np.ndarray,
+    ) -> np.ndarray:
         violations = np.zeros(len(loads))
         for limit in self._requirements.limits:
             use = np.nan_to_num(loads[:, LOAD_KEYS.index(limit.key)]) / limit.value
-            violations += np.clip(use - 1.0, 0.0, _MAX_EXCESS)
-        verdicts = np.array(by_name["verdict"])
-        distance = np.nan_to_num(np.array(by_name["nearest_distance"], dtype=float), nan=1.0)
-        closeness = np.minimum(distance / self._scene.cone.L_c, 5.0)
-        violations += np.where(verdicts == CAPTURED, 0.0, _NO_CAPTURE + closeness)
-        violations[verdicts == FAILED] = _STOPPED
+            excess = np.log(np.clip(use, 1e-9, None)) * (use > 1.0 + ROUND_OFF)
+            violations = np.maximum(violations, np.minimum(excess, _MAX_EXCESS))
+        if not self._requirements.allow_leaving:
+            violations += np.where(left, _LEFT, 0.0)
+        closeness = np.minimum(np.nan_to_num(nearest, nan=1.0) / self._scene.cone.L_c, 5.0)
+        captured = np.array(verdicts) == CAPTURED
+        violations += np.where(captured, 0.0, _NO_CAPTURE + closeness)
+        violations[np.array(verdicts) == FAILED] = _STOPPED
         return violations
 
     def _with_ranges(self, found: list[Candidate]) -> list[Candidate]:
@@ -225,7 +341,7 @@ class Evaluator:
                 )
                 of_line = self._dispersed(found[worth[case]].values, draws[line % len(draws)])
                 rows.append({**of_line, **dict(zip(names, point, strict=True))})
-            return self._run(rows)[2] <= 0.0
+            return self._run(rows).violations <= 0.0
 
         asked = list(itertools.product(range(len(worth)), points))
         grid = is_captured(asked).reshape(len(worth), -1)
@@ -258,7 +374,7 @@ class Evaluator:
         self, values: Mapping[str, float], draw: Mapping[str, float]
     ) -> dict[str, float]:
         """Return a candidate's values with a draw; that of a free value is one of its ratio."""
-        buffer = {**values, **rebound_of(self._scene, values)}
+        buffer = fields_of(self._scene, values)
         found = {**buffer, **draw}
         for name in set(buffer) & set(draw):
             own = paths.get(self._scene, name)
@@ -272,9 +388,9 @@ class Evaluator:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return loads (n, draws, keys) and violations (n, draws) of candidates."""
         rows = [self._dispersed(each, draw) for each in values for draw in draws]
-        _, loads, violations = self._run(rows)
+        runs = self._run(rows)
         shape = len(values), len(draws)
-        return loads.reshape(*shape, -1), violations.reshape(shape)
+        return runs.loads.reshape(*shape, -1), runs.violations.reshape(shape)
 
     def with_draws(
         self, draws: Sequence[Mapping[str, float]], values: Sequence[Mapping[str, float]]

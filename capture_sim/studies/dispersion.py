@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from capture_sim.studies.limits import Limit
+from capture_sim.studies.limits import ROUND_OFF, Limit
 from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.sampling import EDGES, problem_of
 from capture_sim.studies.sweep import FAILED
@@ -86,7 +86,7 @@ def _exceeds(rows: pandas.DataFrame, limits: Sequence[Limit]) -> pandas.Series:
     """Return the runs that exceed a limit; a load that was not measured exceeds none."""
     exceeding = rows["verdict"] != rows["verdict"]
     for limit in limits:
-        exceeding |= rows[limit.key] > limit.value
+        exceeding |= rows[limit.key] > limit.value * (1.0 + ROUND_OFF)
     return exceeding
 
 

@@ -1,37 +1,44 @@
-"""What a limit costs: what one per cent more of it would bring in the objectives.
+"""What a limit costs: what 1 and 5 per cent more of it bring in the objectives.
 
-Some buffers next to the chosen one are run.  Straight lines are fitted to their loads, relative to
-the loads of the chosen buffer, and a linear programme minimises each objective with the others
-held, with and without the wider limit.  Loads are peaks over touches, so they have corners and
-jumps: the uncertainty is the standard deviation over resampled runs (bootstrap), which contains the
-scatter of the runs around the lines.
+Each objective is minimised again with the wider limit, the others held at the row's values, from
+the row and from what the search has found.  The same is done with the limit as it is, so that a
+change is no remainder of the search.  Loads have kinks and jumps at the optima, so slopes of runs
+nearby would not tell.  The error is the larger of what a last restart gains and of the difference
+to a second seed, of both optimisations.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.studies.limits import Limit, Measure
+from capture_sim.studies.candidates import Candidate, Requirements
+from capture_sim.studies.limits import Limit
+from capture_sim.studies.refinement import Evaluate, Goal, Points, refine, refine_from
+from capture_sim.studies.variables import Variable
 
 #: Use of a limit from which on it is active.
 ACTIVE = 0.98
 #: By how much a limit is widened, relative.
-STEP = 0.01
-#: The buffers lie within this share of each range to either side.
-_HALF_WIDTH = 0.005
-#: Buffers for each free value and one more; samples of the bootstrap.
-_RUNS_PER_VALUE, _RESAMPLED = 12, 40
+STEPS = (0.01, 0.05)
+#: Sizes of the first simplices and of a restart's, shares of the ranges; candidates of an
+#: optimisation, at least and at most; most points of the search that an optimisation begins with.
+_SIZE, _SIZE_OF_RESTART, _FEWEST, _MOST, _KEPT = 0.02, 0.003, 40, 200, 2000
+#: Use of a limit from which on more of it must bring something.
+_BINDING = 0.999
+#: Least error that is stated: what the tolerance of the runs makes of a change.
+_LEAST_ERROR = 1e-6
 
 
 class Change(NamedTuple):
-    """Relative change of an objective, with its standard deviation."""
+    """Relative change of an objective, and its error; NaN where it was not found out."""
 
     value: float
-    deviation: float
+    error: float
 
 
 @dataclass(frozen=True)
@@ -40,81 +47,115 @@ class LimitCost:
 
     limit: Limit
     use: float  # share of the limit
-    changes: tuple[Change, ...]  # of each objective, the others held
+    changes: tuple[tuple[Change, ...], ...]  # of each step, of each objective
+
+
+#: Gives the evaluation of candidates under requirements.
+EvaluatorOf = Callable[[Requirements], Evaluate]
+
+
+class _Optimum(NamedTuple):
+    value: float  # of the cost
+    error: float
+    best: Candidate | None
 
 
 def limit_costs(
-    chosen: Mapping[str, float],
-    shares: Sequence[float],
-    limits: Sequence[Limit],
-    objectives: Sequence[Measure],
-    evaluate: Callable[[np.ndarray], Sequence[Mapping[str, float]]],
+    row: Candidate,
+    known: Sequence[Mapping[str, float]],
+    variables: Sequence[Variable],
+    requirements: Requirements,
+    evaluate: EvaluatorOf,
+    runs: int,
     seed: int = 1,
 ) -> tuple[LimitCost, ...]:
-    """Return what each active limit costs; empty if none is active.
+    """Return what each active limit of a row costs; empty if none is active.
 
     Parameters
     ----------
-    chosen
-        Loads of the chosen buffer, SI.
-    shares
-        Its free values, as shares of the ranges.
-    limits, objectives
-        Of the design.
+    row
+        The buffer.
+    known
+        Values of buffers that were run before; with ``evaluate`` they cost nothing.
+    variables, requirements
+        Of the search.
     evaluate
-        Returns the loads of buffers by their shares (n, values); NaN where the run does not
-        capture.
+        Gives the evaluation under other requirements.
+    runs
+        Number of candidates to try in all, about.
     seed
-        Of the buffers and of the bootstrap.
+        Of the second seed's simplices.
     """
-    from scipy.stats import qmc
+    active = [x for x in requirements.limits if x.use(row.loads[x.key]) >= ACTIVE]
+    if not active:
+        return ()
+    objectives = requirements.objectives
+    count = len(objectives) * (1 + len(STEPS) * len(active))
+    each = min(max(int(runs / (3.5 * count)), _FEWEST), _MOST)
+    held = row.costs(objectives)
 
-    active = [limit for limit in limits if limit.use(chosen[limit.key]) >= ACTIVE]
-    if not active or not all(chosen[each.key] for each in objectives):
-        return ()
-    count = _RUNS_PER_VALUE * (len(shares) + 1)
-    steps = 2.0 * qmc.LatinHypercube(len(shares), seed=seed).random(count) - 1.0
-    centre = np.clip(np.array(shares), _HALF_WIDTH, 1.0 - _HALF_WIDTH)
-    loads = evaluate(centre + _HALF_WIDTH * steps)
-    held = [each for each in limits if chosen[each.key]]
-    keys = [*(each.key for each in objectives), *(each.key for each in held)]
-    signs = np.array([*(each.sign for each in objectives), *(1.0 for _ in held)])
-    relative = np.array([[row[key] / chosen[key] - 1.0 for key in keys] for row in loads]) * signs
-    known = np.isfinite(relative).all(axis=1)
-    steps, relative = steps[known], relative[known]
-    if len(steps) < 2 * (len(shares) + 1):
-        return ()
-    rng = np.random.default_rng(seed)
-    room = np.array([1.0 / limit.use(chosen[limit.key]) - 1.0 for limit in held])
-    draws = [np.arange(len(steps)), *rng.integers(len(steps), size=(_RESAMPLED, len(steps)))]
-    slopes = [_slopes(steps[rows], relative[rows]) for rows in draws]
+    def optimum(n: int, with_limits: Requirements, warm: Sequence[Candidate]) -> _Optimum:
+        ceilings = [math.inf if k == n else x for k, x in enumerate(held)]
+        goal = Goal(tuple(float(k == n) for k in range(len(held))), tuple(ceilings))
+        begin = [dict(row.values), *(dict(x.values) for x in warm), *known]
+        return _optimum(goal, begin, variables, with_limits, evaluate(with_limits), each, seed)
+
+    base = [optimum(n, requirements, ()) for n in range(len(objectives))]
     found = []
     for limit in active:
-        wider = room + STEP * np.array([each is limit for each in held])
+        warm = [[x.best] if x.best is not None else [] for x in base]
         changes = []
-        for k, objective in enumerate(objectives):
-            gains = [
-                _least(each, k, wider, len(objectives)) - _least(each, k, room, len(objectives))
-                for each in slopes
-            ]
-            changes.append(Change(objective.sign * gains[0], float(np.nanstd(gains[1:]))))
-        found.append(LimitCost(limit, limit.use(chosen[limit.key]), tuple(changes)))
+        for step in STEPS:
+            wider = requirements.with_limit(limit, 1.0 + step)
+            of_step = []
+            for n, objective in enumerate(objectives):
+                new = optimum(n, wider, warm[n])
+                warm[n] += [new.best] if new.best is not None else []
+                error = max(new.error, base[n].error, _LEAST_ERROR)
+                difference = new.value - base[n].value
+                if difference == 0.0 and limit.use(_load(base[n], limit)) > _BINDING:
+                    difference = math.nan  # nothing better at a limit: the search is stuck
+                if objective.sign > 0.0:
+                    of_step.append(Change(math.expm1(difference), error))
+                else:
+                    of_step.append(Change(-difference, error))
+            changes.append(tuple(of_step))
+        found.append(LimitCost(limit, limit.use(row.loads[limit.key]), tuple(changes)))
     return tuple(found)
 
 
-def _slopes(steps: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the slopes (values, steps) of the lines through some runs."""
-    with_offset = np.hstack([steps, np.ones((len(steps), 1))])
-    fitted, *_ = np.linalg.lstsq(with_offset, values, rcond=None)
-    return np.asarray(fitted[:-1].T)
+def _load(optimum: _Optimum, limit: Limit) -> float:
+    return math.nan if optimum.best is None else optimum.best.loads[limit.key]
 
 
-def _least(slopes: np.ndarray, objective: int, room: np.ndarray, n_objectives: int) -> float:
-    """Return the least change of an objective, the others held and the limits kept."""
-    from scipy.optimize import linprog
-
-    others = [k for k in range(n_objectives) if k != objective]
-    most = np.append(np.zeros(len(others)), np.maximum(room, 0.0))
-    below = np.vstack([slopes[others], slopes[n_objectives:]])
-    bounds = [(-1.0, 1.0)] * slopes.shape[1]
-    return float(linprog(slopes[objective], A_ub=below, b_ub=most, bounds=bounds).fun)
+def _optimum(
+    goal: Goal,
+    begin: Sequence[Mapping[str, float]],
+    variables: Sequence[Variable],
+    requirements: Requirements,
+    evaluate: Evaluate,
+    runs: int,
+    seed: int,
+) -> _Optimum:
+    """Minimise a goal twice, with two seeds, and restart the first."""
+    start = Points(variables, requirements.objectives)
+    start.add(evaluate(begin[:_KEPT]))
+    found = []
+    gain = 0.0
+    for rng in (None, np.random.default_rng([seed, 5])):
+        points = Points(variables, requirements.objectives)
+        points.add(start.candidates)
+        refine_from(goal, points.best(goal, 1)[0], points, evaluate, runs, _SIZE, rng)
+        if rng is None:
+            before = float(points.goal_values(goal).min())
+            near = points.best(goal, 1)[0]
+            refine_from(goal, near, points, evaluate, runs // 2, _SIZE_OF_RESTART)
+            gain = before - float(points.goal_values(goal).min())
+        else:
+            refine([goal], points, evaluate, runs, rng)  # other basins
+        found.append((float(points.goal_values(goal).min()), points.best(goal, 1)[0]))
+    values = [value for value, _ in found]
+    best = found[int(np.argmin(values))][1]
+    if not best.feasible:
+        return _Optimum(math.nan, math.nan, None)
+    return _Optimum(min(values), max(gain, abs(values[0] - values[1])), best)

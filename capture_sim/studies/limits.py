@@ -26,6 +26,8 @@ LOAD_KEYS = tuple(
 CAPTURE_RANGE = "capture_range"
 _RANGE = Load(CAPTURE_RANGE, "capture range", "1", "%", 100.0, ())
 _LEAST_SHOWN = 1e-3
+#: A limit is kept up to this share: the error of a run at the tolerance of a study.
+ROUND_OFF = 1e-6
 #: Most objectives of a design: more make no picture.
 MAX_OBJECTIVES = 3
 
@@ -82,6 +84,14 @@ class Limit(Measure):
     def text(self) -> str:
         """The limit in words, in the unit of tables."""
         return f"{self.meaning} <= {self.shown(self.value)} {self.load.shown_in}"
+
+    def scaled(self, factor: float) -> Limit:
+        """Return the limit times a factor."""
+        return Limit(self.key, self.value * factor)
+
+    def is_exceeded(self, value: float | None) -> bool:
+        """Whether a value of the load is above the limit by more than the error of a run."""
+        return self.use(value) > 1.0 + ROUND_OFF
 
     def use(self, value: float | None) -> float:
         """Return a value of the load as a share of the limit; 0 if it was not measured."""
@@ -150,4 +160,4 @@ def read_limits(texts: Iterable[str]) -> tuple[Limit, ...]:
 
 def exceeded(limits: Iterable[Limit], loads: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the names of the loads of a run that exceed their limits."""
-    return tuple(limit.key for limit in limits if limit.use(loads[limit.key]) > 1.0)
+    return tuple(limit.key for limit in limits if limit.is_exceeded(loads[limit.key]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from capture_sim.errors import SceneError
 from capture_sim.scene import paths
 from capture_sim.scene.approach import APPROACH, approach_of
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.quantities import accept
+from capture_sim.scene.quantities import POSITIVE, Declared, accept
 from capture_sim.scene.units import in_si
 from capture_sim.studies.axes import declaration_of
 from capture_sim.studies.limits import Limit
@@ -19,6 +20,18 @@ from capture_sim.studies.limits import Limit
 FREE = ("buffer.k_A", "buffer.k_T", "buffer.c_A")
 #: Values that act on the torsion: where one is free, its torque is an objective by default.
 TORSIONAL = ("buffer.k_T", "buffer.k_T3", "buffer.c_T", "buffer.c_T2")
+#: A free value that is no field: the damper as a share of the critical one, in place of c_A.
+DAMPING_RATIO = "damping_ratio"
+_DAMPERS = ("buffer.c_A", "buffer.c_A_rebound")
+#: Most of a damper, as a share of the critical one: optima have a tenth of that, and the time of a
+#: run grows with the damper.
+_OVERDAMPED = 2.0
+#: Values within this share of an end of their range are at that end.
+_AT_END = 0.02
+#: By which factor a range is widened, and the ratio of the ends of a wide one.
+_WIDER, _WIDE = 10.0, 100.0
+#: Least stroke of the ranges, as a multiple of how far the contact alone would yield.
+_OF_CONTACT = 5.0
 #: Values that a table of the spring's force replaces.
 _OF_AXIAL_SPRING = ("buffer.k_A", "buffer.k_A3", "buffer.preload")
 #: Strokes where no limit is given, m and rad, as measures of the ranges only.
@@ -27,31 +40,66 @@ _USUAL_STROKE, _USUAL_TORSION = 0.02, 0.01
 
 @dataclass(frozen=True)
 class Variable:
-    """A free value and the range that is searched; on a logarithmic scale if both ends are > 0."""
+    """A free value, and the range or the catalogue that is searched.
+
+    A range is searched on a logarithmic scale if both ends are > 0.
+    """
 
     name: str
     low: float
     high: float
     unit: str = ""
+    choices: tuple[float, ...] = ()  # a catalogue, ascending; empty for a range
+    is_given: bool = False  # by the user, not from the energy of the approach
+    is_whole: bool = True  # wide enough to say what the buffer decides
 
     def value(self, share: float) -> float:
         """Return the value at a share of the range, 0 to 1."""
+        if self.choices:
+            return self.choices[min(int(share * len(self.choices)), len(self.choices) - 1)]
         if self.low > 0.0:
             return float(self.low * (self.high / self.low) ** share)
         return float(self.low + (self.high - self.low) * share**3)
 
     def share(self, value: float) -> float:
-        """Return the share of the range at a value."""
+        """Return the share of the range at a value; of a catalogue, the nearest item's."""
+        if self.choices:
+            distance = [abs(each - value) for each in self.choices]
+            return (distance.index(min(distance)) + 0.5) / len(self.choices)
         inside = min(max(value, self.low), self.high)
         if self.low > 0.0:
             return math.log(inside / self.low) / math.log(self.high / self.low)
         return float(((inside - self.low) / (self.high - self.low)) ** (1.0 / 3.0))
 
+    def has(self, value: float) -> bool:
+        """Return whether a value is in the range or the catalogue."""
+        return value in self.choices if self.choices else self.low <= value <= self.high
+
+    def end_at(self, value: float) -> str:
+        """Return the end of the range that a value is within 2 % of, in words; empty if none."""
+        if self.choices:
+            return ""
+        share = self.share(value)
+        if share < _AT_END and self.low > 0.0:
+            return "lower"
+        return "upper" if share > 1.0 - _AT_END else ""
+
+    def widened(self, end: str) -> Variable:
+        """Return the variable with ten times the range at one end, as far as physics has it."""
+        if end == "lower":
+            return dataclasses.replace(self, low=self.low / _WIDER)
+        return dataclasses.replace(self, high=self.high * _WIDER)
+
+    def may_widen(self, end: str) -> bool:
+        """Whether the search may look beyond an end of the range."""
+        is_damper = self.name in (*_DAMPERS, DAMPING_RATIO)
+        return not (self.is_given or (is_damper and end == "upper"))
+
 
 def make_variables(
     scene: Scene, limits: Sequence[Limit], free: Sequence[str]
 ) -> tuple[Variable, ...]:
-    """Return the values to search with their ranges.
+    """Return the values to search with their ranges or catalogues.
 
     Ranges that are not given are those around a buffer that absorbs the energy of the approach
     within the limits of its strokes.  SceneError if a name or a range is invalid.
@@ -60,37 +108,79 @@ def make_variables(
     variables: list[Variable] = []
     for text in free:
         name, _, given = (part.strip() for part in text.partition("="))
-        what = declaration_of(scene, name)
-        if name in APPROACH or what.kind is not float:
-            raise SceneError(f"free {name}: must be a number of the scene")
-        if scene.buffer.force_table is not None and name in _OF_AXIAL_SPRING:
-            raise SceneError(
-                f"free {name}: must not be free with buffer.force_table, which gives the spring"
-            )
+        what = _declaration(scene, name)
+        if name in (variable.name for variable in variables):
+            raise SceneError(f"free {name}: must be given once")
+        if given.startswith("["):
+            variables.append(_of_catalogue(name, given, what))
+            continue
         if given:
-            low, colon, high = given.partition(":")
-            try:
-                if not colon:
-                    raise ValueError(given)
-                ends = in_si(low, what.unit), in_si(high, what.unit)
-            except ValueError:
-                raise SceneError(
-                    f"free {name} = {given}: must be LOW:HIGH in {what.unit or '1'}"
-                ) from None
+            ends = _ends(name, given, what.unit)
         elif name in usual:
             ends = usual[name]
         else:
-            raise SceneError(f"free {name}: must have a range, {name}=LOW:HIGH")
+            raise SceneError(f"free {name}: must have a range, {name}=LOW:HIGH, or [A,B,..]")
         for end in ends:
             accept(end, what, f"free {name}")
         if not ends[0] < ends[1]:
             raise SceneError(f"free {name} = {given}: must be LOW < HIGH")
-        if name in (variable.name for variable in variables):
-            raise SceneError(f"free {name}: must be given once")
-        variables.append(Variable(name, *ends, what.unit))
+        whole = not given or _is_wide(ends, usual.get(name))
+        variables.append(Variable(name, *ends, what.unit, (), bool(given), whole))
+    names = {variable.name for variable in variables}
     if not variables:
         raise SceneError("free: must have one value or more")
+    if {DAMPING_RATIO, "buffer.c_A"} <= names:
+        raise SceneError(f"free {DAMPING_RATIO}: must be without buffer.c_A, which it gives")
     return tuple(variables)
+
+
+def _declaration(scene: Scene, name: str) -> Declared:
+    if name == DAMPING_RATIO:
+        doc = "damper of the axial spring, as a share of the critical one"
+        return Declared(name, float, False, True, "1", POSITIVE, (), doc)
+    what = declaration_of(scene, name)
+    if name in APPROACH or what.kind is not float:
+        raise SceneError(f"free {name}: must be a number of the scene")
+    if scene.buffer.force_table is not None and name in _OF_AXIAL_SPRING:
+        raise SceneError(
+            f"free {name}: must not be free with buffer.force_table, which gives the spring"
+        )
+    return what
+
+
+def _of_catalogue(name: str, given: str, what: Declared) -> Variable:
+    """Return the variable of a catalogue, ``[450,500,560]``."""
+    items = [item.strip() for item in given[1:].removesuffix("]").split(",") if item.strip()]
+    try:
+        if not given.endswith("]") or not items:
+            raise ValueError(given)
+        choices = sorted({in_si(item, what.unit) for item in items})
+    except ValueError:
+        raise SceneError(
+            f"free {name} = {given}: must be [A,B,..] with one value or more in {what.unit or '1'}"
+        ) from None
+    for choice in choices:
+        accept(choice, what, f"free {name}")
+    return Variable(name, choices[0], choices[-1], what.unit, tuple(choices), True, False)
+
+
+def _ends(name: str, given: str, unit: str) -> tuple[float, float]:
+    low, colon, high = given.partition(":")
+    try:
+        if not colon:
+            raise ValueError(given)
+        return in_si(low, unit), in_si(high, unit)
+    except ValueError:
+        raise SceneError(
+            f"free {name} = {given}: must be LOW:HIGH or [A,B,..] in {unit or '1'}"
+        ) from None
+
+
+def _is_wide(ends: tuple[float, float], usual: tuple[float, float] | None) -> bool:
+    """Return whether a given range has the usual one inside, or spans two decades."""
+    if usual is not None and ends[0] <= usual[0] and usual[1] <= ends[1]:
+        return True
+    return ends[0] > 0.0 and ends[1] / ends[0] >= _WIDE
 
 
 def reduced_mass(scene: Scene) -> float:
@@ -102,9 +192,11 @@ def reduced_mass(scene: Scene) -> float:
 def _usual_ranges(scene: Scene, limits: Sequence[Limit]) -> dict[str, tuple[float, float]]:
     """Return ranges around a buffer that absorbs the approach's energy within its strokes."""
     given = {limit.key.removesuffix("_before_latch"): limit.value for limit in limits}
-    stroke = given.get("max_axial_stroke_in", _USUAL_STROKE)
-    torsion = given.get("max_torsion", _USUAL_TORSION)
     speed = approach_of(scene).speed
+    # a stiffer buffer hardly moves: the contact itself is as soft
+    least = _OF_CONTACT * _penetration(scene, speed)
+    stroke = max(given.get("max_axial_stroke_in", _USUAL_STROKE), least)
+    torsion = given.get("max_torsion", _USUAL_TORSION)
     k_A = reduced_mass(scene) * (speed / stroke) ** 2
     c_A = 2.0 * reduced_mass(scene) * speed / stroke  # critical on that spring
     k_T = k_A * stroke * scene.rest_length / torsion
@@ -113,8 +205,9 @@ def _usual_ranges(scene: Scene, limits: Sequence[Limit]) -> dict[str, tuple[floa
     return {
         "buffer.k_A": (k_A / 50.0, k_A * 20.0),
         "buffer.k_T": (k_T / 100.0, k_T * 100.0),
-        "buffer.c_A": (c_A / 300.0, c_A * 10.0),
-        "buffer.c_A_rebound": (c_A / 300.0, c_A * 10.0),
+        "buffer.c_A": (c_A / 300.0, c_A * _OVERDAMPED),
+        "buffer.c_A_rebound": (c_A / 300.0, c_A * _OVERDAMPED),
+        DAMPING_RATIO: (1.0 / 300.0, _OVERDAMPED),
         "buffer.preload": (0.0, k_A * stroke),
         "buffer.friction": (0.0, k_A * stroke),
         "buffer.k_A3": (0.0, 100.0 * k_A / stroke**2),
@@ -125,16 +218,39 @@ def _usual_ranges(scene: Scene, limits: Sequence[Limit]) -> dict[str, tuple[floa
     }
 
 
+def _penetration(scene: Scene, speed: float) -> float:
+    """Return how far the contact alone would yield to the approach, m; 0 with a measured curve."""
+    if scene.contact.force_table is not None:
+        return 0.0
+    energy, p = 0.5 * reduced_mass(scene) * speed**2, scene.contact.exponent
+    return float(((p + 1.0) * energy / scene.contact_stiffness) ** (1.0 / (p + 1.0)))
+
+
 def with_values(scene: Scene, values: Mapping[str, float]) -> Scene:
-    """Return a scene with other values; a rebound damper keeps its ratio to the damper."""
-    changed: Scene = paths.with_values(scene, {**values, **rebound_of(scene, values)})
+    """Return a scene with a candidate's values, see :func:`fields_of`."""
+    changed: Scene = paths.with_values(scene, fields_of(scene, values))
     return changed
 
 
-def rebound_of(scene: Scene, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the rebound damper that belongs to a damper, by its name; empty if there is none."""
-    own = scene.buffer
-    name = "buffer.c_A_rebound"
-    if own.c_A_rebound is None or own.c_A == 0.0 or name in values or "buffer.c_A" not in values:
-        return {}
-    return {name: own.c_A_rebound / own.c_A * values["buffer.c_A"]}
+def fields_of(scene: Scene, values: Mapping[str, float]) -> dict[str, float]:
+    """Return the fields of a scene for a candidate's values.
+
+    The damping ratio gives the damper; a rebound damper keeps its ratio to the damper.
+    """
+    fields = {name: value for name, value in values.items() if name != DAMPING_RATIO}
+    if DAMPING_RATIO in values:
+        k_A = fields.get("buffer.k_A", scene.buffer.k_A)
+        critical = 2.0 * math.sqrt(k_A * reduced_mass(scene))
+        fields["buffer.c_A"] = values[DAMPING_RATIO] * critical
+    own, name = scene.buffer, "buffer.c_A_rebound"
+    if own.c_A_rebound is not None and own.c_A and name not in fields and "buffer.c_A" in fields:
+        fields[name] = own.c_A_rebound / own.c_A * fields["buffer.c_A"]
+    return fields
+
+
+def own_value(scene: Scene, name: str) -> float:
+    """Return a free value of the scene itself; 0 where it has none."""
+    if name == DAMPING_RATIO:
+        critical = 2.0 * math.sqrt(scene.buffer.k_A * reduced_mass(scene))
+        return scene.buffer.c_A / critical if critical else 0.0
+    return float(paths.get(scene, name) or 0.0)

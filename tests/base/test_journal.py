@@ -70,6 +70,13 @@ def test_another_study_is_refused_and_a_new_one_keeps_the_unfinished(tmp_path):
     with Journal(path, {**HEAD, "seed": 2}) as journal:
         assert not journal.entries
         assert read_journal(journal.replaced) == (HEAD, [1])
+        journal.add(2)
+        journal.finish()
+    with Journal(path, {**HEAD, "seed": 2}, resume=True) as journal:
+        assert journal.entries == [2]
+        journal.finish()
+    with Journal(path, HEAD) as journal:
+        assert journal.replaced is None  # it was complete
 
 
 def test_a_full_disk_is_an_error_of_one_line_and_what_was_written_stays(tmp_path, monkeypatch):

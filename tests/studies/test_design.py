@@ -16,17 +16,16 @@ from capture_sim.cli import main
 from capture_sim.scene import paths
 from capture_sim.scene.loading import change_scene
 from capture_sim.studies import candidates
-from capture_sim.studies import design as studies_design
 from capture_sim.studies.candidates import Candidate, Dispersions, Evaluator, Requirements
+from capture_sim.studies.coverage import undecided
 from capture_sim.studies.design import (
+    Window,
     beaten_by,
     costs_of,
     costs_of_limits,
     design_buffer,
-    undecided,
 )
 from capture_sim.studies.executors import InProcess, open_executor
-from capture_sim.studies.front import hypervolume
 from capture_sim.studies.limits import make_limits, make_objectives
 from capture_sim.studies.outcome import run_to_end
 from capture_sim.studies.variables import FREE, make_variables, with_values
@@ -52,9 +51,13 @@ def design(servicer):
 
 
 def within(scene, limits):
-    """Return whether a run captures within limits."""
+    """Return whether a run captures within limits, and the tip does not leave again."""
     outcome = run_to_end(scene)
-    return outcome.captured and all(outcome.loads[each.key] <= each.value for each in limits)
+    return (
+        outcome.captured
+        and not outcome.left_again
+        and all(outcome.loads[each.key] <= each.value for each in limits)
+    )
 
 
 def test_rows_of_the_front_run_to_their_figures_within_the_limits(servicer, design):
@@ -69,17 +72,16 @@ def test_rows_of_the_front_run_to_their_figures_within_the_limits(servicer, desi
             assert run.loads[objective.key] == row.candidate.loads[objective.key]
 
 
-def test_no_buffer_of_the_front_or_of_the_search_beats_another(design):
+def test_no_buffer_of_the_front_or_of_the_search_beats_a_row(design):
+    """But by a share below what the budget of 400 can refine."""
     costs = costs_of(design.front, TRADED)
-    others = [each for each in design.history if each.feasible]
-    assert len(others) > len(design.front)
+    tried = costs_of([each for each in design.history if each.feasible], TRADED)
+    assert len(tried) > len(design.front)
     for cost in costs:
         dominates = (costs <= cost).all(axis=1) & (costs < cost).any(axis=1)
         assert not dominates.any()
-    # the tolerance of both is the same here: of the search, only what is between two is left out
-    tried = costs_of(others, TRADED)
-    ideal, nadir = tried.min(axis=0), tried.max(axis=0)
-    assert hypervolume(costs, ideal, nadir) > 0.99 * hypervolume(tried, ideal, nadir)
+        assert not (tried < cost - 0.03).all(axis=1).any()
+    assert all(row.convergence for row in design.rows)
 
 
 def test_the_own_buffer_is_beaten_by_what_is_said(servicer, design):
@@ -186,7 +188,7 @@ def test_a_refusal_names_what_was_searched_and_the_nearest(servicer):
     "free, message",
     [
         (["buffer.k_B"], "buffer.k_B: no number of servicer; did you mean buffer"),
-        (["buffer.k_A=5"], "must be LOW:HIGH in N/m"),
+        (["buffer.k_A=5"], "must be LOW:HIGH or .A,B,... in N/m"),
         (["buffer.k_A=5:-1"], "free buffer.k_A = -1.0 N/m: must be >= 0"),
         (["buffer.k_A=5:1"], "must be LOW < HIGH"),
         (["probe.length"], "free probe.length: must have a range, probe.length=LOW:HIGH"),
@@ -227,7 +229,6 @@ def test_a_robust_design_holds_for_draws_that_the_search_never_saw(servicer, mon
     A smaller check and search than those of the command, to save time.
     """
     monkeypatch.setattr(candidates, "CHECK_DRAWS", 60)
-    monkeypatch.setattr(studies_design, "_ROBUST_GENERATIONS", 3)
     vary = {"approach.speed": "normal(0.1, 5%)", "approach.offset": "normal(-20 mm, 2 mm)"}
     limits = make_limits({"max_axial_stroke_in": 0.010, "max_normal_force": 260.0})
     requirements = Requirements(FORCE, limits, Dispersions(vary), confidence=0.8, draws=15)
@@ -305,17 +306,102 @@ def test_the_command_leaves_scenes_that_run_to_the_figures_of_its_table(tmp_path
 
 def test_an_active_limit_has_a_cost_by_runs(servicer):
     """A stroke that limits the force: 1 % more of it, and a design for that."""
-    limits = make_limits({"max_axial_stroke_in": 0.015})
+    limits = make_limits({"max_axial_stroke_in": 0.010})
     found = design_buffer(servicer, Requirements(FORCE, limits), DAMPER, candidates=150)
     (cost,) = costs_of_limits(found, found.rows[0])
-    assert cost.use == pytest.approx(1.0, abs=0.02)
-    (change,) = cost.changes
-    wider = Requirements(FORCE, make_limits({"max_axial_stroke_in": 0.01515}))
+    assert cost.use == pytest.approx(1.0, abs=1e-3)
+    ((change,), (more,)) = cost.changes
+    wider = Requirements(FORCE, make_limits({"max_axial_stroke_in": 0.0101}))
     again = design_buffer(servicer, wider, DAMPER, candidates=150)
-    gain = again.front[0].loads["max_buffer_force"] / found.front[0].loads["max_buffer_force"] - 1.0
-    assert change.value <= 0.0
-    assert change.value == pytest.approx(gain, abs=3.0 * change.deviation + 0.003)
-    assert math.isfinite(change.deviation)
+    least = [each.front[0].loads["max_buffer_force"] for each in (found, again)]
+    assert more.value < change.value < 0.0
+    assert change.value == pytest.approx(least[1] / least[0] - 1.0, abs=3.0 * change.error + 1e-3)
+    assert 0.0 < change.error < 0.01
+
+
+def test_a_buffer_that_lets_go_again_is_no_design(servicer):
+    """At 4 s the own dampers have let go; what is shown as staying stays in runs by hand."""
+    scene = paths.changed(servicer, "run.t_end", 3.0)
+    limits = make_limits({"max_axial_stroke_in": 0.015})
+    found = design_buffer(scene, Requirements(FORCE, limits), DAMPER, candidates=100)
+    left = [x for x in found.history if x.left_again]
+    assert left
+    assert not any(x.feasible for x in left)
+    for row in found.rows:
+        for until in (3.0, 9.0, 30.0):
+            run = run_to_end(paths.changed(found.scene_of(row.candidate), "run.t_end", until))
+            if until <= row.stays:
+                assert run.captured
+                assert not run.left_again
+    again = Requirements(FORCE, limits, allow_leaving=True)
+    allowed = design_buffer(scene, again, DAMPER, candidates=100)
+    assert any(x.feasible for x in allowed.history if x.left_again)
+
+
+def test_rows_keep_to_a_window_a_catalogue_and_a_damping_ratio(servicer):
+    free = ["damping_ratio=0.1:2", "buffer.k_A=[800, 1 N/mm, 2000]"]
+    window = Window("max_axial_stroke_in", 0.006, 0.012)
+    found = design_buffer(servicer, Requirements(TRADED), free, window=window, candidates=150)
+    assert found.rows
+    for row in found.rows:
+        values = row.candidate.values
+        assert values["buffer.k_A"] in (800.0, 1000.0, 2000.0)
+        buffer = found.scene_of(row.candidate).buffer
+        reduced = servicer.chaser_total_mass * 95.0 / (servicer.chaser_total_mass + 95.0)
+        critical = 2.0 * math.sqrt(buffer.k_A * reduced)
+        assert buffer.c_A == pytest.approx(values["damping_ratio"] * critical)
+        assert row.candidate.loads["max_axial_stroke_in"] <= 0.012
+    assert found.rows[-1].candidate.loads["max_axial_stroke_in"] == pytest.approx(0.012, rel=0.05)
+    nowhere = Window("max_axial_stroke_in", 1e-6, 2e-6)
+    refused = design_buffer(servicer, Requirements(TRADED), DAMPER, window=nowhere, candidates=100)
+    assert "--window max_axial_stroke_in: 0.001 to 0.002 mm is not reached" in refused.refusal
+
+
+def test_narrow_ranges_are_searched_though_the_buffer_decides_little():
+    """Where the whole range is refused, a narrow one is not."""
+    scene = load_scene("tilt_0", ["run.t_end=4", "run.rtol=1e-6"])
+    requirements = Requirements(make_objectives(["max_normal_force"]))
+    free = ["buffer.k_A=400:600", "buffer.c_A=5:15"]
+    assert design_buffer(scene, requirements, free, candidates=100).met
+
+
+COMMAND = ["design", str(SERVICER), "--minimize=max_buffer_force", "--stroke-limit=10"]
+COMMAND += ["--free=buffer.c_A=100:2000", "--set=run.rtol=1e-6", "--set=run.t_end=1"]
+COMMAND += ["--candidates=100", "--workers=1"]
+
+
+def test_a_killed_design_continues_to_the_same_table(tmp_path, capsys):
+    """Cut anywhere, the last line torn, the runs of before are not made again."""
+    assert main([*COMMAND, f"--out={tmp_path / 'a'}"]) == 0
+    table = capsys.readouterr().out.replace(str(tmp_path / "a"), "OUT")
+    lines = (tmp_path / "a" / "design.journal").read_bytes().splitlines(keepends=True)
+    for kept in (2, len(lines) // 2):
+        journal = tmp_path / "b" / "design.journal"
+        journal.parent.mkdir(exist_ok=True)
+        journal.write_bytes(b"".join(lines[:kept]) + lines[kept][:20])
+        assert main([*COMMAND, f"--out={tmp_path / 'b'}", "--resume"]) == 0
+        shown = capsys.readouterr().out.replace(str(tmp_path / "b"), "OUT")
+        assert shown.partition("runs were made before\n")[2] == table
+        for name in ("design.json", "design.yaml"):
+            assert (tmp_path / "b" / name).read_bytes() == (tmp_path / "a" / name).read_bytes()
+        assert sorted(map(bytes, journal.read_bytes().splitlines())) == sorted(
+            line.strip() for line in lines
+        )
+    assert main([*COMMAND, "--seed=2", f"--out={tmp_path / 'b'}", "--resume"]) == 2
+    assert "is of another study: seed must be the same" in capsys.readouterr().err
+
+
+def test_a_design_begins_with_the_runs_of_another(tmp_path, capsys):
+    assert main([*COMMAND, f"--out={tmp_path / 'a'}"]) == 0
+    first = json.loads((tmp_path / "a" / "design.json").read_text())["rows"][0]["loads"]
+    narrower = [*COMMAND, "--free=buffer.k_A=450:550", f"--from={tmp_path / 'a'}"]
+    capsys.readouterr()
+    assert main([*narrower, f"--out={tmp_path / 'b'}"]) == 0
+    second = json.loads((tmp_path / "b" / "design.json").read_text())["rows"][0]["loads"]
+    assert second["max_buffer_force"] <= first["max_buffer_force"] * (1.0 + 1e-6)
+    other = [item for item in COMMAND if "t_end" not in item]
+    assert main([*other, f"--from={tmp_path / 'a'}", f"--out={tmp_path / 'c'}"]) == 2
+    assert "must be a design of the same scene" in capsys.readouterr().err
 
 
 def test_the_scene_of_the_examples_is_that_of_the_page():

@@ -1,12 +1,16 @@
 """Fronts of known shape: layers, knee, rows, hypervolume; limits with known cost."""
 
+import math
+
 import numpy as np
 import pytest
 
 from capture_sim import SceneError
+from capture_sim.studies.candidates import Candidate, Requirements
 from capture_sim.studies.front import hypervolume, knee, layers, rows_of
 from capture_sim.studies.limit_costs import limit_costs
 from capture_sim.studies.limits import make_limits, make_objectives
+from capture_sim.studies.variables import Variable
 
 
 def test_layers_are_fronts_one_behind_the_other():
@@ -55,32 +59,51 @@ def test_what_is_no_objective_is_rejected_in_a_line(minimize, maximize, message)
         make_objectives(minimize, maximize)
 
 
-def test_the_cost_of_a_limit_is_its_multiplier():
-    """Force 1/x and stroke x: 1 % more stroke is 1 % less force; y changes neither."""
-    objectives = make_objectives(["max_buffer_force"])
-    limits = make_limits({"max_axial_stroke_in": 0.01, "max_torsion": 0.1})
+VARIABLES = (Variable("x", 0.1, 10.0), Variable("y", 1.0, 2.0))
 
-    def loads(shares, noise=0.0):
-        x = np.exp(np.asarray(shares)[:, 0] - 0.5)
-        rng = np.random.default_rng(3)
-        force = 4.0 / x * (1.0 + noise * rng.normal(size=x.size))
-        return [
-            {"max_buffer_force": f, "max_axial_stroke_in": 0.01 * s, "max_torsion": 0.05}
-            for f, s in zip(force, x, strict=True)
-        ]
 
-    (chosen,) = loads([[0.5, 0.5]])
-    (cost,) = limit_costs(chosen, [0.5, 0.5], limits, objectives, loads)
+def evaluations(force):
+    """Return the evaluation of force(x, y) and stroke x, m, under requirements, and its count."""
+    count = [0]
+
+    def of(requirements):
+        def evaluate(values):
+            count[0] += len(values)
+            found = []
+            for each in values:
+                x, y = each["x"], each["y"]
+                loads = {"max_buffer_force": force(x, y), "max_axial_stroke_in": x}
+                loads["max_torsion"] = 0.05
+                uses = [limit.use(loads[limit.key]) for limit in requirements.limits]
+                excess = max(0.0, math.log(max(uses))) if max(uses) > 1.0 + 1e-6 else 0.0
+                found.append(Candidate(each, loads, "captured", excess))
+            return found
+
+        return evaluate
+
+    return of, count
+
+
+@pytest.mark.parametrize("kink", [0.0, 1.0])
+def test_the_cost_of_a_limit_is_what_the_optimum_gains(kink):
+    """Force 1/x, more off y = 1.5, there with a kink; stroke x: -1/1.01 and -1/1.05."""
+
+    def force(x, y):
+        return 4.0 / x * math.exp(kink * abs(y - 1.5) + (y - 1.5) ** 2)
+
+    requirements = Requirements(
+        make_objectives(["max_buffer_force"]),
+        make_limits({"max_axial_stroke_in": 1.0, "max_torsion": 0.1}),
+    )
+    of, count = evaluations(force)
+    (chosen,) = of(requirements)([{"x": 1.0, "y": 1.5}])
+    (cost,) = limit_costs(chosen, [], VARIABLES, requirements, of, 600)
     assert cost.limit.key == "max_axial_stroke_in"
     assert cost.use == pytest.approx(1.0)
-    # the buffers lie within 0.5 % to either side
-    assert cost.changes[0].value == pytest.approx(-0.005, rel=0.02)
-    assert cost.changes[0].deviation < 1e-4
-    (noisy,) = limit_costs(
-        chosen, [0.5, 0.5], limits, objectives, lambda shares: loads(shares, 0.002)
-    )
-    assert noisy.changes[0].deviation > 1e-4
-    assert (
-        limit_costs({**chosen, "max_axial_stroke_in": 0.005}, [0.5, 0.5], limits, objectives, loads)
-        == ()
-    )
+    for (change,), exact in zip(cost.changes, (1 / 1.01 - 1, 1 / 1.05 - 1), strict=True):
+        assert change.value == pytest.approx(exact, abs=1e-4)
+        assert abs(change.value - exact) <= 5.0 * change.error + 1e-6
+        assert 0.0 < change.error < 1e-3
+    assert count[0] < 1000
+    (inside,) = of(requirements)([{"x": 0.5, "y": 1.5}])
+    assert limit_costs(inside, [], VARIABLES, requirements, of, 600) == ()

@@ -1,0 +1,104 @@
+"""Coverage of the ranges by NSGA-II (Deb et al. 2002, of pymoo): where the good buffers are.
+
+The search begins with buffers spread over the ranges.  It finds the basins of a front, and its
+coarse shape; :mod:`capture_sim.studies.refinement` then finds the minima.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from capture_sim.studies.candidates import Candidate
+from capture_sim.studies.limits import Measure
+from capture_sim.studies.refinement import Evaluate, Points
+
+#: Relative width within which values of an objective count as equal.
+SAME = 0.01
+#: An objective is not decided by the buffer if this share of the first feasible buffers, and at
+#: least so many, reach its least value: a peak that all soft buffers share.
+_MANY, _FEWEST = 0.08, 5
+#: Buffers of a population for each free value; the share of the runs that begin the search, and
+#: their least number.
+_POPULATION, _FIRST, _FEWEST_FIRST = 15, 0.25, 50
+
+
+def cover(
+    points: Points,
+    evaluate: Evaluate,
+    runs: int,
+    seed: int,
+    begin: Sequence[Sequence[float]] = (),
+) -> Iterator[list[Candidate]]:
+    """Search with so many runs, and yield each population after it was added to the points.
+
+    ``begin`` are places of buffers that the first population has.
+    """
+    from pymoo.algorithms.moo.nsga2 import NSGA2
+    from pymoo.core.evaluator import Evaluator as Marker
+    from pymoo.core.problem import Problem
+    from pymoo.core.termination import NoTermination
+    from pymoo.problems.static import StaticProblem
+    from scipy.stats import qmc
+
+    n_values, objectives = len(points.variables), points.objectives
+    first = qmc.LatinHypercube(n_values, seed=seed).random(
+        min(max(int(_FIRST * runs), _FEWEST_FIRST), max(runs, 4))
+    )
+    for k, place in enumerate(list(begin)[: len(first)]):
+        first[k] = place
+    population = max(min(_POPULATION * n_values, runs // 8), 4)
+    problem = Problem(n_var=n_values, n_obj=len(objectives), n_ieq_constr=1, xl=0.0, xu=1.0)
+    algorithm = NSGA2(pop_size=population, sampling=first)
+    algorithm.setup(problem, termination=NoTermination(), seed=seed)
+    left = runs
+    while left > 0:
+        asked = algorithm.ask()
+        places = asked.get("X").tolist()
+        found = evaluate([points.values_of(x) for x in places])
+        points.add(found)
+        yield found
+        left -= len(places)
+        if len(found) < len(places):
+            return
+        marks = {
+            "F": np.array([each.costs(objectives) for each in found]),
+            "G": np.array([[each.violation] for each in found]),
+        }
+        Marker().eval(StaticProblem(problem, **marks), asked)
+        algorithm.tell(infills=asked)
+
+
+def undecided(candidates: Sequence[Candidate], objectives: Sequence[Measure]) -> str:
+    """Return which objective the buffer does not decide among candidates; empty if it does all.
+
+    ``candidates`` are spread over the ranges.  The text names the loads that the buffer decides.
+    """
+    feasible = [each for each in candidates if each.feasible]
+    if len(feasible) < 2 * _FEWEST:
+        return ""
+    by_key = {key: np.array([each.loads[key] for each in feasible]) for key in feasible[0].loads}
+    fewest = max(_FEWEST, _MANY * len(feasible))
+    for objective in objectives:
+        same = _best_of(by_key[objective.key], objective.sign)
+        if len(same) < fewest:
+            continue
+        decided = [
+            f"{key} {Measure(key).shown(values.min())} to {Measure(key).shown(values.max())} "
+            f"{Measure(key).load.shown_in}"
+            for key, values in by_key.items()
+            if not key.endswith("_before_latch") and len(_best_of(values, 1.0)) < fewest
+        ]
+        return (
+            f"{objective.meaning} is not decided by the buffer: {len(same)} of {len(feasible)} "
+            f"feasible buffers have {objective.shown(same.min())} to {objective.shown(same.max())} "
+            f"{objective.load.shown_in}; loads that it decides: {', '.join(decided) or 'none'}"
+        )
+    return ""
+
+
+def _best_of(values: np.ndarray, sign: float) -> np.ndarray:
+    """Return the values within 1 % of the least, or of the greatest if the sign is negative."""
+    best = np.min(sign * values)
+    return values[sign * values <= best + SAME * abs(best)]

@@ -1,0 +1,109 @@
+"""The refinement finds minima that are known exactly: on kinks, on ceilings, among catalogues."""
+
+import math
+
+import numpy as np
+import pytest
+
+from capture_sim.studies.candidates import Candidate
+from capture_sim.studies.limits import make_objectives
+from capture_sim.studies.refinement import Goal, Points, nelder_mead, refine
+from capture_sim.studies.variables import Variable
+
+FORCE = make_objectives(["max_buffer_force"])
+TRADED = make_objectives(["max_axial_stroke_in", "max_buffer_force"])
+
+
+def minimum(function, start, runs, size=0.1, rng=None):
+    """Return the best value and the number of calls."""
+    search, values = nelder_mead(np.array(start), size, runs, rng), []
+    try:
+        x = next(search)
+        while True:
+            assert ((x >= 0.0) & (x <= 1.0)).all()
+            values.append(function(x))
+            x = search.send(values[-1])
+    except StopIteration:
+        return min(values), len(values)
+
+
+@pytest.mark.parametrize("rng", [None, 3])
+@pytest.mark.parametrize("at", [(0.3, 0.6), (0.0, 0.5), (1.0, 1.0)])
+def test_a_kinked_minimum_is_found_inside_and_at_the_bounds(at, rng):
+    def kinked(x):
+        return float(np.abs(x - at).max() + 0.5 * np.abs(x - at).sum())
+
+    found, runs = minimum(kinked, [0.5, 0.4], 250, rng=rng and np.random.default_rng(rng))
+    assert found < 1e-3
+    assert runs == 250
+
+
+def candidates_of(force):
+    """Return the evaluation of force(values), with the stroke x, m."""
+
+    def evaluate(values):
+        return [
+            Candidate(
+                dict(each),
+                {"max_buffer_force": force(each), "max_axial_stroke_in": each["x"]},
+                *("captured", 0.0),
+            )
+            for each in values
+        ]
+
+    return evaluate
+
+
+def test_a_row_is_the_least_force_at_its_stroke():
+    """Two basins; force 3 / x in the better one, which is on a kink."""
+    variables = (Variable("x", 0.001, 0.1), Variable("y", 1.0, 100.0))
+
+    def force(values):
+        x, y = values["x"], values["y"]
+        return min(3.0 * math.exp(abs(math.log(y / 8.0))), 3.3 * abs(math.log(y / 70.0)) + 3.2) / x
+
+    points = Points(variables, TRADED)
+    rng = np.random.default_rng(1)
+    evaluate = candidates_of(force)
+    points.add(evaluate([points.values_of(x) for x in rng.random((60, 2)).tolist()]))
+    goals = [Goal((1e-3, 1.0), (TRADED[0].cost(x), math.inf)) for x in (0.003, 0.02)]
+    assert refine(goals, points, evaluate, 150)
+    for goal, stroke in zip(goals, (0.003, 0.02), strict=True):
+        best = points.best(goal, 1)[0]
+        assert best.loads["max_axial_stroke_in"] == pytest.approx(stroke, rel=1e-3)
+        assert best.loads["max_buffer_force"] == pytest.approx(3.0 / stroke, rel=2e-3)
+
+
+def test_a_catalogue_is_searched_by_its_items_alone():
+    items = (1.0, 3.0, 4.0, 9.0, 20.0)
+    variables = (Variable("x", 0.001, 0.1), Variable("y", 1.0, 20.0, choices=items))
+    tried = []
+
+    def force(values):
+        tried.append(values["y"])
+        return 1.0 + abs(math.log(values["x"] / 0.01)) + abs(values["y"] - 8.0)
+
+    points, evaluate = Points(variables, FORCE), candidates_of(force)
+    points.add(evaluate([points.values_of([0.1, 0.1])]))
+    goal = Goal((1.0,), (math.inf,))
+    for _ in range(4):  # from one item to the next
+        refine([goal], points, evaluate, 120)
+    best = points.best(goal, 1)[0]
+    assert set(tried) <= set(items)
+    assert best.values["y"] == 9.0
+    assert best.values["x"] == pytest.approx(0.01, rel=1e-3)
+
+
+def test_a_budget_that_ends_is_said_and_kept():
+    points = Points((Variable("x", 0.1, 10.0),), FORCE)
+    evaluate = candidates_of(lambda values: values["x"])
+    points.add(evaluate([{"x": 5.0}]))
+    left = [30]
+
+    def limited(values):
+        found = evaluate(values[: left[0]])
+        left[0] -= len(found)
+        return found
+
+    assert not refine([Goal((1.0,), (math.inf,))], points, limited, 100)
+    assert len(points.candidates) == 31
