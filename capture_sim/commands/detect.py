@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
         echo(f"measurements not used: {one_line(verdict.not_used)}")
     if not recorded.reported_statuses:
         return OK
-    before = recorded.reported_statuses[-1]
+    before = recorded.statuses[-1]
     since_before = _since(before)
     tolerance = TICK if is_simulated else _BENCH_TOLERANCE
     # a bench's undecided trial has no time of its own: detector and recorder begin and end apart

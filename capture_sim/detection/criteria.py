@@ -67,6 +67,7 @@ class Cause(IntEnum):
     CONTACT_UNSEEN = 18
     JUMPED = 19
     STAYED = 20
+    NO_END = 21
 
 
 #: In the reason of a capture whose tip is outside the capture zone again.
@@ -435,6 +436,7 @@ _REASONS = {
         "in which it may have met the cone"
     ),
     Cause.JUMPED: "the poses of a vehicle jumped by {value:.2f} mm and stayed there",
+    Cause.NO_END: "the recording was cut, with the tip {value:.2f} mm from BE",
     Cause.STAYED: "within {radius:g} mm of BE from the first pose to the end",
 }
 

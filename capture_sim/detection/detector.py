@@ -209,12 +209,13 @@ class CaptureDetector:
             self._set_epoch(stamp)
         return self._take(self._sequencer.add(source, stamp, values))
 
-    def finish(self, *, cut: bool = False) -> list[CaptureStatus]:
+    def finish(self, *, cut: bool = False, has_end: bool = True) -> list[CaptureStatus]:
         """Close the run; return the remaining statuses, ending with the final one.
 
         The last status is that of the last measurement: a verdict, or undecided.  It is final,
         unless a cut run has no verdict.  If nothing was measured, its numbers are NaN and its
-        time is the earliest stamp.  ``cut``: the run was ended before its time.
+        time is the earliest stamp.  ``cut``: the run was ended before its time.  ``has_end``: False
+        for a recording without the end of its run: a tip that moves proves nothing there.
         """
         remaining = self._take(self._sequencer.finish())
         if not self.clocks_differ:
@@ -252,8 +253,12 @@ class CaptureDetector:
             # a source that stopped before the end: the rest of the run is unknown
             newest = self._sequencer.newest
             is_blind = newest is not None and self._seconds(newest) - last.t > self._path.gap
-            _decide_at_end(self._criteria, memory, self._corner_time, cut or is_blind)
+            lacks_end = not has_end and (cut or memory.speed >= self._criteria.still_speed)
+            ended_early = cut or is_blind or lacks_end
+            _decide_at_end(self._criteria, memory, self._corner_time, ended_early)
             self._doubt_miss()
+            if lacks_end and memory.cause in (Cause.END_BEFORE_CONTACT, Cause.END_AFTER_CONTACT):
+                memory.cause = Cause.NO_END
         return [*remaining, self._status(*self._last, is_over=not cut, is_end=True)]
 
     def update(self, observation: Observation) -> CaptureStatus:

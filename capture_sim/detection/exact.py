@@ -165,7 +165,7 @@ class ExactDetector:
         self._row = rows[-1:]
         return used
 
-    def finish(self, *, cut: bool = False) -> CaptureStatus:
+    def finish(self, *, cut: bool = False, has_end: bool = True) -> CaptureStatus:
         """Close the run and return its last status: a verdict, or undecided.
 
         The status is that of the last sample.  It is final, unless a cut run has no verdict.
@@ -174,12 +174,18 @@ class ExactDetector:
         ----------
         cut
             True if the run was ended before its time.
+        has_end
+            False for a recording without the end of its run: a tip that moves proves nothing there.
         """
         memory, row = self._memory[0], self._row[0]
         if math.isnan(row["distance"]):
             memory["state"], memory["cause"] = CaptureState.UNDECIDED, Cause.NOT_MEASURED
         elif not self.final:
-            _decide_at_end(self._criteria, self._memory.view(_MEMORY_BY_NAME)[0], 0.0, cut)
+            lacks_end = not has_end and (cut or memory["speed"] >= self._criteria.still_speed)
+            by_name = self._memory.view(_MEMORY_BY_NAME)[0]
+            _decide_at_end(self._criteria, by_name, 0.0, cut or lacks_end)
+            if lacks_end and memory["cause"] in (Cause.END_BEFORE_CONTACT, Cause.END_AFTER_CONTACT):
+                memory["cause"] = Cause.NO_END
         for name in ("state", "cause", "value"):
             row[name] = memory[name]
         row["time_in_state"] = row["t"] - memory["since"]

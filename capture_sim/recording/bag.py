@@ -24,11 +24,14 @@ from capture_sim.messages.convert import LaunchAction, RunDescription
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
+    CAPTURE_STATUS,
     CHASER_ODOMETRY,
     CHASER_POSE,
+    HOLD,
     LAUNCH_COMMAND,
     RUN_INFO,
     SIMULATOR,
+    STREAM_COUNTS,
     TARGET_ODOMETRY,
     TARGET_POSE,
     Topic,
@@ -166,8 +169,31 @@ class Bag(RecordedTopics):
 
     @property
     def cut(self) -> bool:
-        """Whether the end of a simulator's run is missing: ended early, or not all recorded."""
-        return SIMULATOR in self._publishers and is_cut(self)
+        """Whether the end of the run is missing: ended early, or not all recorded."""
+        if SIMULATOR in self._publishers:
+            return is_cut(self)
+        return bool(self.damage)
+
+    @cached_property
+    def has_end(self) -> bool:
+        """Whether the end of the run is recorded.
+
+        That is a complete simulation; of a real bench, in an undamaged file, a final status of the
+        detector, the counts that a node sends at the end, or a chaser that is held again.
+        """
+        if SIMULATOR in self._publishers:
+            return not is_cut(self)
+        if self.damage:
+            return False
+        has_verdict = self.holds(CAPTURE_STATUS) and self.statuses[-1].final
+        return has_verdict or self.holds(STREAM_COUNTS) or self._is_held
+
+    @property
+    def _is_held(self) -> bool:
+        """Whether the last message to the holding device holds the chaser."""
+        if not self.has(HOLD) or self.types.get(f"/{HOLD}") != "std_msgs/msg/Bool":
+            return False
+        return bool(self.columns(HOLD)["data"][-1])
 
     # how it was made
 

@@ -108,7 +108,7 @@ def live_conditions(bag: Bag) -> LiveConditions:
     last = math.inf
     if not bag.is_simulated and bag.holds(topics.CAPTURE_STATUS) and bag.statuses[-1].final:
         last = bag.statuses[-1].t + TICK
-    return LiveConditions(bag.is_simulated, last, is_cut=bag.cut)
+    return LiveConditions(bag.is_simulated, last, is_cut=bag.cut, has_end=bag.has_end)
 
 
 def received_in(bag: Bag, scene: Scene | None) -> list[Received]:

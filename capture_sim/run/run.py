@@ -53,6 +53,7 @@ from capture_sim.run.touches import (
 )
 from capture_sim.run.verdict import (
     Received,
+    as_cut,
     detect_received,
     detect_state,
     received_in,
@@ -381,11 +382,17 @@ class Run:
     def statuses(self) -> Sequence[CaptureStatus]:
         """Statuses of the detector: as reported, else evaluated now; the last has the verdict.
 
-        Empty if none was reported and a rule of grade *refused* is broken.
+        Empty if none was reported and a rule of grade *refused* is broken.  A recording that ended
+        before its detector's end is undecided.
         """
-        if not self.reported_statuses and any(d.grade is Grade.REFUSED for d in self.doubts):
-            return ()
-        return self.reported_statuses or detect(self)
+        reported = self.reported_statuses
+        if not reported:
+            is_refused = any(doubt.grade is Grade.REFUSED for doubt in self.doubts)
+            return () if is_refused else detect(self)
+        if self.given_scene is None:
+            return reported
+        last = as_cut(reported[-1], self.given_scene)
+        return reported if last is reported[-1] else [*reported[:-1], last]
 
     @cached_property
     def extremes(self) -> Extremes:
@@ -584,7 +591,8 @@ def detect(
     has_noise = any(name.startswith("motion_capture/") for name in run.series.get("chaser", ()))
     is_cut = run.origin.live.is_cut or bool(run.failure)
     if run.is_exact and not has_noise and not from_series:
-        return detect_state(run.state, scene, is_cut=is_cut)
+        has_end = run.origin.live.has_end
+        return detect_state(run.state, scene, is_cut=is_cut, has_end=has_end)
     checked(run)
     live = run.origin.live._replace(is_cut=is_cut)
     received = received_in(run.series) if run.received is None else run.received

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.detection.criteria import CaptureStatus
+from capture_sim.detection.criteria import CaptureState, CaptureStatus, Cause, Criteria, reason
 from capture_sim.detection.exact import ExactDetector
 from capture_sim.detection.measurements import REORDER, Source, Values
 from capture_sim.run.series import STATE, SeriesBySource, at_rate
@@ -25,6 +25,7 @@ class LiveConditions(NamedTuple):
     is_simulated: bool  # one clock stamps everything, and the run begins with the release
     last: float = math.inf  # last instant that is evaluated, s since the release
     is_cut: bool = False  # the run ended early
+    has_end: bool = True  # False: a recording without the end of its run
 
 
 def with_criteria(scene: Scene, recorded: Detector | None, changed: Collection[str]) -> Scene:
@@ -38,14 +39,24 @@ def with_criteria(scene: Scene, recorded: Detector | None, changed: Collection[s
     return replace(scene, detector=replace(recorded, **changes))
 
 
-def detect_state(state: np.ndarray, scene: Scene, *, is_cut: bool) -> list[CaptureStatus]:
+def as_cut(status: CaptureStatus, scene: Scene) -> CaptureStatus:
+    """Return the last status of a recording that ended before its detector's end: undecided."""
+    if status.final or status.state.is_verdict or status.state is CaptureState.UNDECIDED:
+        return status
+    why = reason(Criteria.of(scene), Cause.NO_END, status.distance)
+    return status._replace(state=CaptureState.UNDECIDED, time_in_state=0.0, reason=why)
+
+
+def detect_state(
+    state: np.ndarray, scene: Scene, *, is_cut: bool, has_end: bool = True
+) -> list[CaptureStatus]:
     """Evaluate exact samples, (n,) of dtype SAMPLE, at the scene's ``run.rate``.
 
     Return the statuses; the last one has the verdict.
     """
     detector = ExactDetector(scene)
     due = state[at_rate(state["t"], scene.run.rate)]
-    return [*detector.update(due), detector.finish(cut=is_cut)]
+    return [*detector.update(due), detector.finish(cut=is_cut, has_end=has_end)]
 
 
 class Received(NamedTuple):
@@ -73,7 +84,7 @@ def detect_received(
         last=live.last,
     )
     statuses = [status for each in received for status in detector.measure(*each)]
-    return [*statuses, *detector.finish(cut=live.is_cut)]
+    return [*statuses, *detector.finish(cut=live.is_cut, has_end=live.has_end)]
 
 
 def received_in(series: SeriesBySource) -> list[Received]:
