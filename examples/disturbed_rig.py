@@ -114,7 +114,7 @@ class DisturbedRig(FakeRig):
 
     def dispatch(self, publisher, message, offset):
         delay = max(0.0, gauss(self.p.latency, self.p.latency / 6.0))
-        stamped(message, self.chaser.t + offset + self.p.stamp_at_receipt * delay)
+        stamped(message, self.epoch + self.chaser.t + offset + self.p.stamp_at_receipt * delay)
         for _ in range(2 if random() < self.p.repeated else 1):
             heapq.heappush(self.under_way, (self.chaser.t + delay, random(), publisher, message))
 

@@ -7,6 +7,7 @@ put your hardware in the place of FakeChaser. disturbed_rig.py adds the faults o
 import contextlib
 import math
 import time
+from random import gauss
 
 import rclpy
 from fake_chaser import FakeChaser
@@ -22,13 +23,14 @@ class FakeRig(Node):
         super().__init__("fake_rig", **options)
         self.chaser = FakeChaser(self.declare_parameter("outcomes", ["captured"]).value)
         self.dt = 1.0 / self.declare_parameter("rate", 100.0).value  # s; Hz
-        pace = self.declare_parameter("pace", 1.0).value  # s of the bench in a second
+        self.pace = self.declare_parameter("pace", 1.0).value  # s of the bench in a second
         self.hold_timeout = self.declare_parameter("hold_timeout", 0.5).value  # s
         self.last_hold, self.armed = -math.inf, False  # armed: a true was heard since a silence
         transient_local = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.create_subscription(Bool, "launcher/hold", self.on_hold, transient_local)
         self.open_sensors()
-        self.create_timer(self.dt / pace, self.step)
+        self.began, self.epoch = time.monotonic(), self.get_clock().now().nanoseconds * 1e-9
+        self.create_timer(self.dt / self.pace, self.step)
 
     def open_sensors(self):
         vehicles = ("motion_capture/chaser", "motion_capture/target")
@@ -45,6 +47,14 @@ class FakeRig(Node):
             self.chaser.hold()
 
     def step(self):
+        """Move and measure; in real time, so often that no sample is left out."""
+        now = time.monotonic() - self.began
+        while self.chaser.t < now:
+            self.step_once()
+            if self.pace != 1.0:  # only tests hurry: their bench may be slower than its pace
+                break
+
+    def step_once(self):
         if time.monotonic() - self.last_hold > self.hold_timeout:
             self.armed = False  # the launcher is gone, or the network is
             self.chaser.hold()
@@ -53,7 +63,8 @@ class FakeRig(Node):
 
     def measure(self):
         for camera, pose in zip(self.cameras, self.chaser.poses, strict=True):
-            self.send(camera, pose_message(PoseStamped(), *pose))
+            noisy = [gauss(value, 1e-5) for value in pose]  # m, m, rad: as of any camera
+            self.send(camera, pose_message(PoseStamped(), *noisy))
         names, positions = ["buffer_hinge", "buffer_slide"], [0.0, -self.chaser.stroke]
         self.send(self.encoders, JointState(name=names, position=positions))
         wrench = WrenchStamped()
@@ -61,7 +72,7 @@ class FakeRig(Node):
         self.send(self.cell, wrench)
 
     def send(self, publisher, message):
-        publisher.publish(stamped(message, self.chaser.t))
+        publisher.publish(stamped(message, self.epoch + self.chaser.t))
 
 
 def pose_message(message, x, y, yaw):
@@ -72,8 +83,8 @@ def pose_message(message, x, y, yaw):
 
 
 def stamped(message, t):
-    """Stamp a message by the bench's clock, which is not that of this computer."""
-    seconds, nanoseconds = divmod(round((1.2e9 + t) * 1e9), 10**9)
+    """Stamp a message: t s by the ROS clock, as all sources of a bench and this computer have."""
+    seconds, nanoseconds = divmod(round(t * 1e9), 10**9)
     message.header.stamp.sec, message.header.stamp.nanosec = seconds, nanoseconds
     return message
 

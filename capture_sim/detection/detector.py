@@ -174,8 +174,12 @@ class CaptureDetector:
             source, lead = self.clock_offset
             lines.append(
                 f"{source.value}: clock {abs(lead):.3f} s {'ahead of' if lead > 0.0 else 'behind'} "
-                f"the other sources' (stamp less arrival): must be at most {MAX_OFFSET:g} s"
-                + ("; nothing is evaluated" if self.clocks_differ else "")
+                "the other sources' (stamp less arrival): "
+                + (
+                    f"nothing is evaluated beyond {MAX_OFFSET:g} s"
+                    if self.clocks_differ
+                    else f"warned of beyond {WARN_OFFSET:g} s"
+                )
             )
         if silent := self._sequencer.silent(STALE):
             names = " and ".join(source.value for source in silent)

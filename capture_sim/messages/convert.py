@@ -99,6 +99,10 @@ def stamp_seconds(stamp: int) -> float:
     return (stamp - EPOCH_NS) / 1e9
 
 
+#: Fields of RunInfo that are lists.
+_LISTS = ("software", "publishers", "waived", "participants")
+
+
 @dataclass(frozen=True)
 class RunDescription:
     """Everything needed to run a run again; the content of msg/RunInfo.msg."""
@@ -115,6 +119,7 @@ class RunDescription:
     participants: tuple[str, ...] = ()  # nodes of the roll that the run waits for
     note: str = ""  # the operator's, of a trial
     expected: str = ""  # verdict that the operator of a trial expects; empty: none
+    waived: tuple[str, ...] = ()  # rules before the release that a laboratory waives, by name
 
     @classmethod
     def of(
@@ -153,8 +158,8 @@ class RunDescription:
             values[name] = value = float(values[name])
             if not 0.0 < value < math.inf:
                 raise MessageError(f"RunInfo.{name} = {value:g} Hz: must be above 0")
-        values |= {n: tuple(values[n]) for n in ("software", "publishers", "participants")}
-        for name in ("software", "publishers", "participants"):
+        values |= {name: tuple(values[name]) for name in _LISTS}
+        for name in _LISTS:
             longest = max(map(len, values[name]), default=0)
             if len(values[name]) > MOST_NAMES or longest > LONGEST_NAME:
                 raise MessageError(
@@ -377,9 +382,7 @@ class Messages:
 
     def run_info(self, run: RunDescription) -> Message:
         """Return RunInfo, stamped with the release."""
-        texts = {
-            name: list(getattr(run, name)) for name in ("software", "publishers", "participants")
-        }
+        texts = {name: list(getattr(run, name)) for name in _LISTS}
         names = ["run_id", "name", "source", "announcer", "scene", "scene_sha256"]
         names += ["state_rate", "rate"]
         return self.new(

@@ -15,7 +15,7 @@ from capture_sim.nodes.base.parameters import ParameterError, declare_scene
 from capture_sim.nodes.base.process import run
 from capture_sim.nodes.simulation.launch import SimulatedLaunch
 from capture_sim.nodes.trials.server import TrialServer, TrialSettings
-from capture_sim.trial.interlocks import TrialLimits
+from capture_sim.trial.interlocks import RULES, TrialLimits
 
 #: Parameters of :class:`LaunchSettings`, by field.
 SETTINGS = {"tolerance": "speed_tolerance", "aborts": "abort_on_deviation"}
@@ -55,6 +55,16 @@ class LauncherNode(BenchNode):
             "let a chaser go only once the goal's client has asked for the result, which shows "
             "that it knows of the accepted goal and can cancel it",
         )
+        waived = self.declare(
+            "waive",
+            list,
+            "rules before a release that are not demanded, by name; the recording keeps the list",
+            allowed=f"names of rules: {', '.join(RULES)}",
+        )
+        if unknown := sorted({*waived} - RULES.keys()):
+            raise ParameterError(
+                f"parameter waive = {unknown[0]!r}: must be one of {', '.join(RULES)}"
+            )
         required = [
             role
             for role, name, what in (
@@ -89,6 +99,7 @@ class LauncherNode(BenchNode):
                 needs_client,
                 driver,
                 tuple(required),
+                tuple(waived),
                 scene,
                 scenes,
             )

@@ -18,6 +18,7 @@ from capture_sim.errors import MessageError, RecordingError, one_line
 from capture_sim.messages.definitions import learn_type
 from capture_sim.messages.topics import (
     CAPTURE_DETECTOR,
+    HOLD,
     LAUNCHER,
     RECORDER,
     RUN_INFO,
@@ -63,7 +64,12 @@ class RecorderNode(BenchNode, RunPart):
         names = names or list(bench_names)
         self._topics = [known[name] for name in names if name in known]
         self._required = list(self._topics) if wanted else []
-        self._sought = {name for name in names if name not in known}
+        #: By the name in the list: the name under which a topic is looked for.
+        self._sought = {
+            name: self.resolve_topic_name(HOLD) if name == f"/{HOLD}" else name
+            for name in names
+            if name not in known
+        }
         self._recorder: LiveRecorder | None = None  # of the run that is on
         self._failure = ""  # of the disk: why the recording ended before the run
         self._first_after_end: float | None = None  # s (wall), arrival of the first measurement
@@ -170,9 +176,11 @@ class RecorderNode(BenchNode, RunPart):
 
     def _seek(self) -> None:
         """Subscribe to the other topics that are published by now."""
-        for name, (type_name, *_) in self.get_topic_names_and_types():
-            if name in self._sought:
-                self._sought.remove(name)
+        published = dict(self.get_topic_names_and_types())
+        for listed, name in list(self._sought.items()):
+            if name in published:
+                type_name = published[name][0]
+                del self._sought[listed]
                 try:
                     share = Path(get_package_share_directory(type_name.split("/")[0]))
                 except (LookupError, OSError):
@@ -185,7 +193,7 @@ class RecorderNode(BenchNode, RunPart):
                     end.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL for end in ends
                 )
                 topic = Topic(
-                    name,
+                    HOLD if listed == f"/{HOLD}" else name,
                     type_name,
                     (),
                     Rate.EVENT,

@@ -152,7 +152,7 @@ class SimulatorNode(BenchNode):
                 if self.control.state is State.QUITTING:
                     break
                 all_run = self._run_all()
-                if all_run and self._exit_when_done:
+                if self._runs.has_met_trial or (all_run and self._exit_when_done):
                     break
                 if all_run and self.control.state is State.STOPPED:
                     self.get_logger().info(
@@ -190,6 +190,8 @@ class SimulatorNode(BenchNode):
                 outcome = self._runs.run(scene)
                 failed = failed or bool(outcome.failure) or self._runs.has_dropped_participants()
                 self.exit_status = FAILED if failed else self.exit_status
+                if self._runs.has_met_trial:
+                    return False
             if outcome.cut in (CutKind.STOPPED, CutKind.QUITTING):
                 return False
             if failed and (not self._exit_when_done or self._runs.has_dropped_participants()):

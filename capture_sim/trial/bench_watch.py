@@ -29,7 +29,7 @@ from capture_sim.launcher.state_machine import (
 )
 from capture_sim.run.touches import unseen_impact
 from capture_sim.scene.geometry import nearest_on_wall, tip_motion
-from capture_sim.scene.launch_plan import travel_to_touch
+from capture_sim.scene.launch_plan import tip_at_release, travel_to_touch
 from capture_sim.scene.parts import PlanarState, Scene
 
 #: A fit goes over this time, s, and over this many poses at least.
@@ -251,7 +251,21 @@ class BenchWatch:
         measured = replace(
             initial, chaser=_at(initial.chaser, pose), target=_at(initial.target, self._target)
         )
-        self._contact_travel = travel + travel_to_touch(replace(self._scene, initial=measured))
+        self._contact_travel = travel + travel_to_cone(replace(self._scene, initial=measured))
+
+
+def travel_to_cone(scene: Scene) -> float:
+    """Return the chaser's travel to the first touch, or into the throat, m; ``inf`` if it misses.
+
+    A tip that flies along the cone's axis passes BE without a touch.
+    """
+    travel = travel_to_touch(scene)
+    if math.isfinite(travel):
+        return travel
+    px, py, ux, uy = tip_at_release(scene)
+    to_BE = -(px + scene.cone.L_T) / ux if ux > 0.0 else math.inf
+    passes = to_BE >= 0.0 and abs(py + uy * to_BE) <= scene.cone.R_c
+    return to_BE if passes else math.inf
 
 
 def gap_to_cone(

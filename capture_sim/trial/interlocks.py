@@ -1,4 +1,4 @@
-"""Interlocks: the age of the measurements that a trial relies on, and its limits.
+"""Interlocks: what must be true of the measurements before a release, and in the approach.
 
 :class:`Interlocks` sees each pose and buffer state, and nothing is let go around it.
 """
@@ -7,17 +7,33 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import median
 
 from capture_sim.detection.measurements import Source
 from capture_sim.scene.quantities import Range, quantity
 from capture_sim.trial.hold import HoldPublishers, HoldReaders
+from capture_sim.trial.standstill import HeldWatch, Standstill
 
 #: A stamp that is older than the one before by more is that of a clock that was set back, s.
 MAX_STEP_BACK = 0.5
 #: So many of these within so many s are the stamps of two publishers.
 MIN_STEPS_BACK, STEP_WINDOW = 3, 1.0
+#: Rate and clock of a source are those of its last messages, in periods of so many s.
+PERIOD, N_PERIODS = 0.1, 10
+#: A clock has stepped when so many messages in turn show it: a single stamp may be wild.
+N_STEPPED = 5
+#: A source that is silent for longer between release and verdict is a problem of the trial, s.
+MAX_SILENCE = 1.0
+
+#: Rules before a release that a laboratory may waive by name, and what each demands.
+RULES = {
+    "clocks": "the sources' clocks agree",
+    "machine_clock": "the sources' clocks agree with this machine's",
+    "rates": "each source sends often enough",
+    "standstill": "the chaser stands",
+}
 
 
 @dataclass(frozen=True)
@@ -66,6 +82,30 @@ class TrialLimits:
         default=10.0,
         doc="wall time, wait for verdict and recording after the end of a trial",
     )
+    stop_timeout: float = quantity(
+        "s",
+        Range(0.5, 60.0),
+        default=3.0,
+        doc="wall time in which a chaser must stop once it is held: else nothing is let go",
+    )
+    max_clock_offset: float = quantity(
+        "s",
+        Range(0.0, 10.0),
+        default=0.2,
+        doc="difference of a source's clock from the others': nothing is released beyond it",
+    )
+    max_clock_error: float = quantity(
+        "s",
+        Range(0.0, 3600.0),
+        default=1.0,
+        doc="difference of the sources' clocks from this machine's: nothing is released beyond it",
+    )
+    min_rate: float = quantity(
+        "Hz",
+        Range(0.0, 10_000.0),
+        default=10.0,
+        doc="new measurements of each source: nothing is released below it",
+    )
 
 
 class SourceMonitor:
@@ -82,6 +122,11 @@ class SourceMonitor:
         self._last_new = -math.inf  # s, arrival of the last new measurement,
         self._last_change = -math.inf  # ... and of the last with other values
         self._steps_back: deque[float] = deque(maxlen=MIN_STEPS_BACK)  # arrivals, s
+        # begin (s), number, and largest stamp less arrival (s) of the messages of each period
+        self._periods: deque[tuple[float, int, float]] = deque(maxlen=N_PERIODS + 1)
+        self._latest: deque[float] = deque(maxlen=N_STEPPED)  # stamp less arrival, s
+        self._reference = math.nan  # s, clock at the release
+        self._stepped_back = False  # since then
 
     def add(self, stamp: int, values: tuple[float, ...], arrival: float) -> bool:
         """Note a message: its stamp, ns by any clock, and its arrival, s by a steady one.
@@ -94,7 +139,15 @@ class SourceMonitor:
             return False
         if advance < 0.0:
             self._steps_back.append(arrival)
+            self._stepped_back = True
         self._stamp, self._last_new = stamp, arrival
+        offset = stamp * 1e-9 - arrival
+        self._latest.append(offset)
+        begin, count, quickest = self._periods[-1] if self._periods else (-math.inf, 0, 0.0)
+        if arrival < begin + PERIOD:
+            self._periods[-1] = begin, count + 1, max(quickest, offset)
+        else:
+            self._periods.append((arrival, 1, offset))
         if values != self._values:
             self._values, self._last_change = values, arrival
         return True
@@ -108,6 +161,35 @@ class SourceMonitor:
         steps = self._steps_back
         return len(steps) == MIN_STEPS_BACK and steps[0] > now - STEP_WINDOW
 
+    def rate(self, now: float) -> float:
+        """Return the new measurements per second, Hz; NaN while that is not known."""
+        periods = [p for p in self._periods if p[0] >= now - (N_PERIODS + 1) * PERIOD]
+        span = now - periods[0][0] if periods else 0.0
+        return sum(p[1] for p in periods) / span if span > 5.0 * PERIOD else math.nan
+
+    def clock(self, now: float) -> float:
+        """Return the stamp of the quickest late message less its arrival, s; NaN without any."""
+        periods = [p for p in self._periods if p[0] >= now - (N_PERIODS + 1) * PERIOD]
+        enough = sum(p[1] for p in periods) >= N_STEPPED
+        return max(p[2] for p in periods) if enough else math.nan
+
+    def mark(self, now: float) -> None:
+        """Note the clock at the release."""
+        self._reference, self._stepped_back = self.clock(now), False
+
+    def clock_step(self) -> float:
+        """Return by how much the clock was set since the release, s; 0 if it was not.
+
+        Late messages look like a clock that was set back, but their stamps do not step back; no
+        message comes too early.
+        """
+        if math.isnan(self._reference) or len(self._latest) < N_STEPPED:
+            return 0.0
+        ahead, behind = min(self._latest) - self._reference, max(self._latest) - self._reference
+        if ahead > MAX_STEP_BACK:
+            return ahead
+        return behind if behind < -MAX_STEP_BACK and self._stepped_back else 0.0
+
     def unchanged(self, now: float) -> float:
         """Return the time since the last measurement with other values, s."""
         return now - self._last_change
@@ -118,7 +200,7 @@ class Interlocks:
 
     ``topics``: by source, the names of the topics that it may publish.  :meth:`choose` decides
     which of them a trial uses; the others then do not count.  ``readers`` and ``publishers``: those
-    of launcher/hold.
+    of launcher/hold.  ``waived``: names of :data:`RULES` that do not refuse a release.
     """
 
     def __init__(
@@ -127,11 +209,17 @@ class Interlocks:
         topics: Mapping[Source, Sequence[str]],
         readers: HoldReaders | None = None,
         publishers: HoldPublishers | None = None,
+        waived: Collection[str] = (),
     ) -> None:
         self.limits = limits
         self.readers = readers or HoldReaders()
         self.publishers = publishers or HoldPublishers("/launcher", -math.inf)
         self.monitors = {name: SourceMonitor() for names in topics.values() for name in names}
+        #: This machine's clock less that of the arrivals, s; NaN: it is not compared.
+        self.machine_clock = math.nan
+        self.held = HeldWatch(limits.stop_timeout)
+        self.waived = frozenset(waived)
+        self._standstills = {name: Standstill() for name in topics.get(Source.CHASER, ())}
         self._topics = {source: tuple(names) for source, names in topics.items()}
         self._chosen: dict[Source, str] = {}
         self._publishers: dict[str, tuple[str, ...]] | None = None  # nodes, by topic
@@ -139,7 +227,9 @@ class Interlocks:
 
     def add(self, topic: str, stamp: int, values: tuple[float, ...], arrival: float) -> None:
         """Note a measurement, see :meth:`SourceMonitor.add`."""
-        self.monitors[topic].add(stamp, values, arrival)
+        is_new = self.monitors[topic].add(stamp, values, arrival)
+        if is_new and topic in self._standstills:
+            self._standstills[topic].add((values[0], values[1], values[2]), arrival)
 
     def note_publishers(
         self, nodes: Mapping[str, Sequence[str]], mismatches: Mapping[str, str]
@@ -164,8 +254,66 @@ class Interlocks:
             if not self._age(source, now) <= limit
         ]
         conflicts = [text for source, _ in self._limited() if (text := self._conflict(source))]
-        hold = [self.publishers.refusal(now), self.readers.refusal(now)]
-        return "; ".join(filter(None, [*stale, *conflicts, *hold]))
+        hold = [self.publishers.refusal(now), self.readers.refusal(now), self.held.alarm]
+        rules = [] if stale else self._broken_rules(now)
+        return "; ".join(filter(None, [*stale, *conflicts, *hold, *rules]))
+
+    def note_hold(self, is_held: bool, now: float) -> None:
+        """Note that the chaser is let go, or held again."""
+        if is_held:
+            self.held.hold(now)
+            return
+        self.held.let_go(self._standstill().pose(now))
+        for source, _ in self._limited():
+            self.monitors[self._best(source)].mark(now)
+
+    def watch_held(self, now: float) -> None:
+        """Look whether a chaser that was held has stopped, see :attr:`HeldWatch.alarm`."""
+        self.held.update(self._standstill(), now)
+
+    def clock_steps(self) -> list[str]:
+        """Return a line for each source whose clock was set since the release."""
+        steps = {n: self.monitors[n].clock_step() for n in map(self._best, self._needed())}
+        return [f"{name}: clock stepped by {step:+.3g} s" for name, step in steps.items() if step]
+
+    def silences(self, now: float) -> dict[str, float]:
+        """Return for how long, s, the topics of needed sources are silent, beyond what may be."""
+        ages = {
+            self._best(source): (self._age(source, now), limit) for source, limit in self._limited()
+        }
+        return {name: age for name, (age, limit) in ages.items() if age > max(limit, MAX_SILENCE)}
+
+    def _needed(self) -> list[Source]:
+        return [source for source, _ in self._limited()]
+
+    def _standstill(self) -> Standstill:
+        return self._standstills.get(self._best(Source.CHASER)) or Standstill()
+
+    def _broken_rules(self, now: float) -> list[str]:
+        """Return a line for each of :data:`RULES` that is broken and not waived."""
+        limits, names = self.limits, [self._best(source) for source in self._needed()]
+        broken: list[tuple[str, str]] = []
+        clocks = {name: self.monitors[name].clock(now) for name in names}
+        if clocks and all(map(math.isfinite, clocks.values())):
+            middle = median(clocks.values())
+            worst = max(names, key=lambda name: abs(clocks[name] - middle))
+            lead = clocks[worst] - middle
+            if abs(lead) > limits.max_clock_offset:
+                text = f"{worst}: clock {_lead(lead)} the other sources': must be within "
+                text += f"{limits.max_clock_offset:g} s: synchronise the drivers' clocks"
+                broken.append(("clocks", text))
+            lead = middle - self.machine_clock
+            if abs(lead) > limits.max_clock_error:
+                text = f"clocks of the sources: {_lead(lead)} this machine's: must be within "
+                text += f"{limits.max_clock_error:g} s: synchronise them (chrony, PTP)"
+                broken.append(("machine_clock", text))
+        for name in names:
+            if (rate := self.monitors[name].rate(now)) < limits.min_rate:
+                text = f"{name}: {rate:.3g} Hz: must be at least {limits.min_rate:g} (min_rate)"
+                broken.append(("rates", text))
+        if motion := self._standstill().motion(now):
+            broken.append(("standstill", f"the chaser {motion}: it must stand before a release"))
+        return [f"{text} [rule {rule}]" for rule, text in broken if rule not in self.waived]
 
     def blindness(self, now: float, *, has_moved: bool) -> tuple[str, float]:
         """Return why the approach must end, empty if it goes on, and for how long it is not seen.
@@ -239,3 +387,7 @@ class Interlocks:
             text += ", no publisher"
         mismatches = [f"{t}: {self._mismatches[t]}" for t in topics if t in self._mismatches]
         return f"{text} ({'; '.join(mismatches)})" if mismatches else text
+
+
+def _lead(lead: float) -> str:
+    return f"{abs(lead):.3f} s {'ahead of' if lead > 0.0 else 'behind'}"

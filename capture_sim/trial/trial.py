@@ -148,6 +148,8 @@ class Trial:
         self._lost: Mapping[str, str] = {}  # ... and which have left, by role: a line each
         self._is_final = False
         self._cancelled = ""
+        self._silences: dict[str, tuple[float, float]] = {}  # by topic: begin and end, s
+        self._steps: list[str] = []  # of clocks, since the release
         self._stamps = (math.inf, -math.inf)  # s, first and latest pose of the chaser
         self._statuses: list[tuple[int, LauncherStatus]] = []
 
@@ -155,6 +157,11 @@ class Trial:
     def phase(self) -> TrialPhase:
         """The present phase."""
         return self._phase
+
+    @property
+    def waived(self) -> tuple[str, ...]:
+        """Rules before a release that the laboratory waives, by name."""
+        return tuple(sorted(self._interlocks.waived)) if self._has_actuator else ()
 
     @property
     def holds(self) -> bool:
@@ -173,10 +180,15 @@ class Trial:
         """The verdict, empty if nothing was released, and why."""
         if not self.is_released:
             return "", self.failure
+        found = "; ".join(self.sensor_problems)
         if self.verdict in VERDICTS:
-            return self.verdict, self.failure or self.verdict_reason
+            reason = self.verdict_reason
+            if self.verdict == "undecided" and found:
+                reason = f"{found} ({reason})"
+            return self.verdict, self.failure or reason
         limit = self._limits.time_limit
-        return "undecided", self.failure or f"no verdict {limit:g} s after the release"
+        reason = found or f"no verdict {limit:g} s after the release"
+        return "undecided", self.failure or reason
 
     @property
     def impact_speed(self) -> float:
@@ -370,6 +382,7 @@ class Trial:
         """Follow the chaser to the verdict; abort an approach that is blind or not as planned."""
         if self._has_actuator and (conflict := self._interlocks.publishers.conflict(now)):
             return self._fail(conflict, now)
+        self._note_sources(now)
         if self._is_final and self.verdict in VERDICTS:
             self._enter(TrialPhase.DECIDED, now)
             return []
@@ -379,6 +392,7 @@ class Trial:
                 reason, silence = self._interlocks.blindness(now, has_moved=self._watch.has_moved)
             is_at_cone = self.launcher.status.state is LauncherPhase.DELIVERED
             may_touch = reason and self._watch.may_have_touched(silence)
+            reason = reason or (self._has_actuator and "; ".join(self._steps)) or ""
             if is_at_cone or may_touch or self.verdict == _CONTACT:
                 self._watch.note_contact()
                 self._enter(TrialPhase.CONTACT, now)
@@ -393,6 +407,26 @@ class Trial:
         if now - self.released > self._limits.time_limit:
             return self._close(now)
         return []
+
+    def _note_sources(self, now: float) -> None:
+        """Note sources that are silent, and clocks that were set, between release and verdict."""
+        for topic, age in self._interlocks.silences(now).items():
+            begin = max(now - age, self.released)
+            self._silences[topic] = min(begin, self._silences.get(topic, (begin, 0.0))[0]), now
+        self._steps = self._interlocks.clock_steps() or self._steps
+
+    @property
+    def sensor_problems(self) -> list[str]:
+        """A line for each sensor that was not there from the release to the verdict."""
+        lines = []
+        for topic, (begin, end) in self._silences.items():
+            since = max(0.0, begin - self.released)
+            is_over = topic not in self._interlocks.silences(end + 1e-3)
+            lines.append(
+                f"{topic}: stopped {since:.2f} s after the release"
+                + (f", for {end - begin:.2f} s" if is_over else "")
+            )
+        return [*lines, *self._steps]
 
     def _await_others(self, now: float, in_phase: float) -> None:
         if self._are_others_done or not self._is_announced:

@@ -95,11 +95,11 @@ class Goal:
         return answer.status, answer.result
 
 
-def actions_of(client):
-    """Return an action client of launcher/run_trial."""
-    actions = ActionClient(client.node, RunTrial, "/launcher/run_trial")
+def actions_of(client, launcher="/launcher"):
+    """Return an action client of a launcher's run_trial."""
+    actions = ActionClient(client.node, RunTrial, f"{launcher}/run_trial")
     wait_until(actions.server_is_ready, "no launcher/run_trial")
-    client.await_answers_of("/launcher")
+    client.await_answers_of(launcher)
     return actions
 
 
@@ -154,6 +154,7 @@ class Session:
             "recorder": partial(start, "recorder", out=folder, topics=streams, **options),
         }
         settings = {**PATIENT, "scene": "tilt_0", "after_verdict": 0.1}
+        settings["waive"] = "[machine_clock]"  # that of a bench that is faster than real time
         settings |= (launcher or {}) | options
         started = [
             start("launcher", change, actuator=actuator, **settings) for _ in range(launchers)

@@ -75,7 +75,8 @@ def test_simulator_and_replay_let_nothing_go(start, client, tmp_path):
     def play_both(*, beside_a_trial=False):
         # beside a trial they end once they discover it: on a busy machine during the run
         rtf = 0.5 if beside_a_trial else 0.0
-        simulator = start("simulator", overrides="[run.t_end=1.0]", rtf=rtf)
+        kept = {"exit_when_done": "false"} if beside_a_trial else {}  # it ends all the same
+        simulator = start("simulator", overrides="[run.t_end=1.0]", rtf=rtf, **kept)
         assert simulator.status() == int(beside_a_trial), simulator.text
         player = start("player", bag=recording, rtf=rtf)
         assert player.status() == int(beside_a_trial), player.text
@@ -338,8 +339,17 @@ def test_diagnostics_of_the_sources(start, client, tmp_path):
         values = values_of(name)
         assert float(values["rate [Hz]"]) > 0.0
         assert values["published by /fake_rig"] == "reliable, volatile"
+        own = "launcher: release"  # its encoders' clock is within the bound
+        wait_until(lambda: own in found and found[own].level == b"\0", lambda: str(found[own]))
+        assert values_of(own)["waived rules"] == "machine_clock"
     found.clear()
     wait_until(lambda: name in found and found[name].message == "no publisher")
+    wait_until(lambda: own in found and found[own].level == b"\1")
+    with session.bench(pace=1.0, rate=100.0, encoder_offset=0.4):
+        wait_until(lambda: "rule clocks" in found[own].message)
+        source = "capture_detector: /joint_states"
+        wait_until(lambda: found[source].message.startswith("clock +0.4"))
+        assert found[source].level == b"\1"
 
 
 FILLED_UP = """

@@ -7,10 +7,11 @@ import math
 import struct
 import threading
 import time
+import weakref
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import wraps
-from typing import Any
+from typing import Any, ClassVar
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -52,7 +53,12 @@ class BenchNode(ParameterNode):
     ended; ``failure``: an error in a callback, which the next wait raises.
     """
 
+    #: The node of rclpy's default context.
+    _of_process: ClassVar[Callable[[], BenchNode | None]] = lambda: None
+
     def __init__(self, name: str, **options: Any) -> None:
+        if options.get("context") is None:
+            self._refuse_company(name)
         super().__init__(name, **options)
         self.created = time.monotonic()  # other nodes are discovered from here on
         self.messages = Messages()
@@ -65,6 +71,29 @@ class BenchNode(ParameterNode):
         self._interrupted = False
         self._rejections: Counter[Topic] = Counter()
         self._best_effort: list[Callable[[], None]] = []  # subscriptions to be made again
+
+    def _refuse_company(self, name: str) -> None:
+        """Raise CaptureSimError if this process has a node of the suite already."""
+        if (other := BenchNode._of_process()) is not None:
+            raise CaptureSimError(
+                f"{name}: this process has the node {other.get_name()}: must be one node of "
+                "capture_sim a process; start each by its program"
+            )
+        BenchNode._of_process = weakref.ref(self)
+
+    @property
+    def executor(self) -> Any:
+        """The executor that serves this node: its own, and no other."""
+        return super().executor
+
+    @executor.setter
+    def executor(self, executor: Any) -> None:
+        if executor is not None and getattr(self, "callback_executor", None) is None:
+            raise CaptureSimError(
+                f"{self.get_name()}: serves itself in one thread, and runs in no other executor: "
+                "start its program, or call its work()"
+            )
+        super(BenchNode, type(self)).executor.fset(self, executor)
 
     def work(self) -> int:
         """Do the node's work; return the exit status."""
@@ -123,6 +152,8 @@ class BenchNode(ParameterNode):
             self.callback_executor.remove_node(self)
             self.callback_executor.shutdown()
             self.callback_executor = None
+        if BenchNode._of_process() is self:
+            BenchNode._of_process = lambda: None
         self.destroy_node()
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:

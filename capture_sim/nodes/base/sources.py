@@ -11,6 +11,7 @@ from statistics import median
 
 import numpy as np
 
+from capture_sim.detection.clocks import MAX_OFFSET
 from capture_sim.messages.topics import Topic
 from capture_sim.nodes.base.diagnostics import PERIOD, Diagnostics, Level, Status
 from capture_sim.nodes.base.endpoints import full_name
@@ -125,6 +126,8 @@ class SourceDiagnostics:
         elif not self.is_fresh(topic):
             level = Level.WARN
             text = f"last message {age:.1f} s ago" if math.isfinite(age) else "no message"
+        elif abs(offsets.get(topic, 0.0)) > MAX_OFFSET:
+            level, text = Level.WARN, f"clock {offsets[topic]:+.3f} s from the other sources'"
         elif lag > MAX_LAG:
             level, text = Level.WARN, f"read {lag:.1f} s late: this node, or the driver, is busy"
         return Status(name, level, text, values)

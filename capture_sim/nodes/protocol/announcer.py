@@ -37,6 +37,10 @@ STARTING_TIME = 5.0
 _REPORT_PERIOD = 2.0
 
 
+class TrialOnError(CaptureSimError):
+    """A trial of a real bench is on: nothing else may publish."""
+
+
 class Cast:
     """Who takes part in a run, besides the node that announces it: roles, and ids, see Roll."""
 
@@ -287,8 +291,8 @@ def _is_named(node: str, name: str) -> bool:
     return name in (node, node.rpartition("/")[2])
 
 
-def _beside(nodes: Sequence[str]) -> CaptureSimError:
-    return CaptureSimError(
+def _beside(nodes: Sequence[str]) -> TrialOnError:
+    return TrialOnError(
         f"{', '.join(nodes)} in a trial of a real bench: nothing else may publish; wait for "
         "its end, or use another ROS_DOMAIN_ID or namespace"
     )

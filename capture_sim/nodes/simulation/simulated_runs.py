@@ -24,7 +24,7 @@ from capture_sim.messages.topics import (
     topics_of,
 )
 from capture_sim.nodes.base.node import BenchNode
-from capture_sim.nodes.protocol.announcer import Announcer
+from capture_sim.nodes.protocol.announcer import Announcer, TrialOnError
 from capture_sim.nodes.protocol.ends import INTERRUPTED, CutKind
 from capture_sim.nodes.protocol.roll import Part, Roll, number_of
 from capture_sim.nodes.simulation.control import RunCut, SimulationControl
@@ -94,6 +94,8 @@ class SimulatedRuns:
         wait_for: Sequence[str],
         start_timeout: float,
     ) -> None:
+        #: A trial of a real bench was on, beside which nothing may be published.
+        self.has_met_trial = False
         self._node, self._control, self._start_timeout = node, control, start_timeout
         self._launcher = LauncherLink(control)
         self._model = RobotModel(node)
@@ -127,6 +129,7 @@ class SimulatedRuns:
             if error is self._node.failure:
                 raise
             failure = str(error)
+            self.has_met_trial = isinstance(error, TrialOnError)
         except KeyboardInterrupt:
             if telemetry is not None:
                 self._end_run(telemetry, INTERRUPTED)

@@ -87,7 +87,7 @@ class TrialAnnouncement:
         if CAPTURE_DETECTOR not in self._cast.roles and trial.is_released:
             reason = reason or "no capture_detector takes part"
         files = [report.file for report in reports if report.file]
-        problems = [*self._absent, *trial.problems]
+        problems = [*self._absent, *trial.problems, *trial.sensor_problems]
         problems += [problem for report in reports for problem in report.problems]
         if self._announced is not None:
             problems += [f"{node}: {GONE}" for node in self._announced.gone()]
@@ -144,7 +144,9 @@ class TrialAnnouncement:
             announcer=self._roll.id,
             participants=sorted({self._roll.id, *cast.participants}),
         )
-        run = replace(run, name=goal.name, note=goal.note, expected=goal.expected)
+        run = replace(
+            run, name=goal.name, note=goal.note, expected=goal.expected, waived=self.trial.waived
+        )
         self._announced = Announcement(self._node, self._roll, run)
         self._telemetry = LauncherTelemetry(self._node.messages, run.run_id)
         self._roll.report(READY, run)

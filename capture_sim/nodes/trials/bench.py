@@ -8,7 +8,7 @@ so it is late by the longest of them at most.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import Any
 
@@ -22,6 +22,7 @@ from capture_sim.messages.convert import stamp_in
 from capture_sim.messages.definitions import typestore
 from capture_sim.messages.measurements import TOPICS_OF_SOURCE, MeasurementReader
 from capture_sim.messages.topics import CAPTURE_VERDICT, HOLD, LOAD_CELL, Topic
+from capture_sim.nodes.base.diagnostics import PERIOD, Diagnostics, Level, Status
 from capture_sim.nodes.base.endpoints import (
     TRANSIENT_LOCAL,
     full_name,
@@ -50,7 +51,7 @@ class TrialBench:
     Without ``has_actuator`` the chaser is let go by hand.  ``driver``: the node that must read
     launcher/hold, empty for any that is not of ``suite``, which returns the full names of the nodes
     of this suite.  ``steps``: those of the trial that its server has yet to do; ``stamp``: of the
-    chaser's latest pose, ns.
+    chaser's latest pose, ns.  ``waived``: rules that do not refuse a release, by name.
     """
 
     def __init__(
@@ -58,6 +59,7 @@ class TrialBench:
         node: BenchNode,
         limits: TrialLimits,
         driver: str,
+        waived: Collection[str],
         suite: Callable[[], set[str]],
         *,
         has_actuator: bool,
@@ -66,6 +68,8 @@ class TrialBench:
         self.stamp = 0
         self._node, self._suite = node, suite
         self._trial: Trial | None = None
+        self._is_held = True  # as decided last
+        self._alarm = ""  # of a chaser that does not stop, as last logged
         self._conflict = ""  # of the publishers of launcher/hold, as last logged
         topics = {
             source: [topic.name for topic in measuring]
@@ -73,7 +77,7 @@ class TrialBench:
         }
         self._last_tick = self._caught_up = now = time.monotonic()
         publishers = HoldPublishers(node.get_fully_qualified_name(), now)
-        self.interlocks = Interlocks(limits, topics, HoldReaders(driver), publishers)
+        self.interlocks = Interlocks(limits, topics, HoldReaders(driver), publishers, waived)
         self._hold: HoldOutput | None = None
         if has_actuator:
             # transient local, so that a driver which starts late holds from its first message on
@@ -96,6 +100,9 @@ class TrialBench:
                 node.listen(topic, take, raw=True)
         node.listen(LOAD_CELL, self._receive_force, raw=True)
         node.listen(CAPTURE_VERDICT, self._receive_verdict)
+        if self._hold is not None:
+            self._diagnostics = Diagnostics(node)
+            node.every(PERIOD, self._diagnose)
         node.every(TICK, self._tick)
         node.every(LOOK_UP_PERIOD, self._look_up_others)
 
@@ -163,6 +170,28 @@ class TrialBench:
             self._look_up_publishers_of_hold()
         self._decide(now)
         self._output_hold()
+        if self._hold is not None:
+            self.interlocks.watch_held(now)
+            if self.interlocks.held.alarm != self._alarm:
+                self._alarm = self.interlocks.held.alarm
+                log = self._node.get_logger()
+                (log.error if self._alarm else log.info)(
+                    self._alarm or "the chaser stands at its start again"
+                )
+
+    def _diagnose(self) -> None:
+        """Publish whether the chaser could be let go now, else why not."""
+        now = time.monotonic()
+        error = self._conflict or self._alarm
+        level, text = Level.OK, "ready to let go"
+        if error:
+            level, text = Level.ERROR, error
+        elif self._trial is not None and self._trial.is_released:
+            text = "a trial is on"
+        elif refusal := self.interlocks.refusal(now):
+            level, text = Level.WARN, refusal
+        waived = ", ".join(sorted(self.interlocks.waived)) or "none"
+        self._diagnostics.publish(Status("release", level, text, {"waived rules": waived}))
 
     def _is_late(self, now: float) -> bool:
         return now > self._last_tick + TICK + MAX_LATENESS
@@ -192,6 +221,7 @@ class TrialBench:
 
     def _look_up_others(self) -> None:
         """Note who publishes the measurements, and who reads and publishes launcher/hold."""
+        self.interlocks.machine_clock = time.time() - time.monotonic()
         self._look_up_publishers_of_hold()
         nodes, mismatches = {}, {}
         for topic in (topic for measuring in TOPICS_OF_SOURCE.values() for topic in measuring):
@@ -224,7 +254,11 @@ class TrialBench:
         now = time.monotonic()
         if self._trial is not None:
             self._trial.note_silence(self._hold.silence(now), now)
-        self._hold.update(self._trial is None or self._trial.holds, now)
+        is_held = self._trial is None or self._trial.holds
+        if is_held is not self._is_held:
+            self._is_held = is_held
+            self.interlocks.note_hold(is_held, now)
+        self._hold.update(is_held, now)
 
 
 def _names(ends: Sequence[Any]) -> set[str]:

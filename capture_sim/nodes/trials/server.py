@@ -54,6 +54,7 @@ class TrialSettings:
     ``needs_client``: the chaser is let go only once the client has asked for the result.
     ``driver``: the node that must read launcher/hold, empty for any.
     ``required``: roles without which nothing is let go; a result names them where they are lost.
+    ``waived``: rules before a release that do not refuse it, by name.
     ``scene``: of goals that name none; ``scene_folder``: whose files a goal may name besides the
     packaged scenes.
     """
@@ -63,6 +64,7 @@ class TrialSettings:
     needs_client: bool = True
     driver: str = ""
     required: tuple[str, ...] = ()
+    waived: tuple[str, ...] = ()
     scene: Scene | None = None
     scene_folder: Path | None = None
 
@@ -100,6 +102,7 @@ class TrialServer:
             node,
             settings.limits,
             settings.driver,
+            settings.waived,
             lambda: {part.node for part in self._roll.parts.values()},
             has_actuator=settings.has_actuator,
         )

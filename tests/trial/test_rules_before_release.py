@@ -1,0 +1,146 @@
+"""Clocks, rates and standstill before a release, and sensors that fail after it, without DDS."""
+
+import math
+import re
+
+import pytest
+from test_trial import CONTACT, TOPICS, Rig, TrialPhase
+
+from capture_sim.detection.measurements import Source
+from capture_sim.trial.interlocks import RULES, Interlocks, SourceMonitor, TrialLimits
+
+NAMES = {source: topics[0] for source, topics in TOPICS.items()}
+
+
+def refusal(*, offset=None, rate=None, speed=0.0, machine=math.nan, waived=(), late=None, **limits):
+    """Return why a bench is not released after 2 s of its measurements.
+
+    ``offset``: of a source's clock, s, by source; ``rate``: Hz; ``speed``: of the chaser, m/s;
+    ``machine``: this machine's clock; ``late``: source whose messages come 0.5 s late for 0.8 s.
+    """
+    interlocks = Interlocks(TrialLimits(**limits), TOPICS, waived=waived)
+    interlocks.readers.note(["/driver"], {}, -1.0)
+    interlocks.machine_clock = machine
+    for k in range(2000):
+        t = 1e-3 * k
+        for source, topic in NAMES.items():
+            period = round(1000.0 / (rate or {}).get(source, 100.0))
+            if k % period == 0:
+                stamp = t + 1.2e9 + (offset or {}).get(source, 0.0)
+                if source is late and t > 1.2:
+                    stamp -= 0.5
+                values = (speed * t, 0.0, 0.0)[: 2 if source is Source.BUFFER else 3]
+                interlocks.add(topic, round(stamp * 1e9), values, t)
+    return interlocks.refusal(2.0)
+
+
+def test_a_bench_in_order_is_released():
+    assert refusal() == ""
+    assert refusal(machine=1.2e9 + 0.5) == ""
+
+
+@pytest.mark.parametrize("source", Source)
+@pytest.mark.parametrize("offset", [-3.0, -0.5, 0.3, 3.0])
+def test_a_clock_that_differs_refuses(source, offset):
+    text = refusal(offset={source: offset})
+    direction = "ahead of" if offset > 0.0 else "behind"
+    assert text.startswith(f"{NAMES[source]}: clock {abs(offset):.3f} s {direction} the other")
+    assert "must be within 0.2 s" in text
+    assert text.endswith("[rule clocks]")
+    assert refusal(offset={source: offset}, waived=["clocks"]) == ""
+    assert refusal(offset={source: offset}, max_clock_offset=5.0) == ""
+
+
+def test_late_messages_of_a_busy_machine_are_no_other_clock():
+    assert refusal(late=Source.BUFFER) == ""
+
+
+def test_a_steady_clock_of_all_sources_refuses():
+    text = refusal(machine=1.7e9)
+    assert "behind this machine's: must be within 1 s" in text
+    assert "[rule machine_clock]" in text
+    assert refusal(machine=1.7e9, waived=["machine_clock"]) == ""
+
+
+def test_a_source_that_sends_too_seldom_refuses():
+    text = refusal(rate={Source.BUFFER: 5.0})
+    assert text.startswith("joint_states: 5")
+    assert "must be at least 10" in text
+    assert refusal(rate={Source.BUFFER: 5.0}, waived=["rates"]) == ""
+    assert refusal(rate={Source.BUFFER: 5.0}, min_rate=2.0) == ""
+
+
+def test_a_chaser_that_moves_refuses():
+    text = refusal(speed=0.05)
+    assert text.startswith("the chaser moves by 20 mm")
+    assert refusal(speed=0.05, waived=["standstill"]) == ""
+
+
+def test_each_rule_can_be_waived_by_name():
+    broken = {"offset": {Source.TARGET: 3.0}, "rate": {Source.BUFFER: 5.0}, "speed": 0.1}
+    text = refusal(**broken, machine=1.7e9)
+    assert [f"[rule {name}]" in text for name in RULES] == [True] * 4
+    assert refusal(**broken, machine=1.7e9, waived=RULES) == ""
+
+
+# after the release
+
+
+@pytest.mark.parametrize("step", [-5.0, -1.0, 2.0])
+def test_a_clock_that_steps_aborts_an_approach(step):
+    rig = Rig()
+    rig.run(1.0)
+    rig.interlocks.note_hold(False, rig.now)
+    rig.offset = step
+    trial = rig.run(0.2)
+    assert trial.failure.startswith("motion_capture/chaser: clock stepped by")
+    assert trial.holds
+
+
+def test_one_wild_stamp_is_no_step():
+    monitor = SourceMonitor()
+    for k in range(400):
+        if k == 200:
+            monitor.mark(2.0)
+        monitor.add(round(1e7 * k) + (3_600_000_000_000 if k == 300 else 0), (float(k),), 0.01 * k)
+        assert monitor.clock_step() == 0.0
+
+
+def test_late_messages_are_no_step():
+    monitor = SourceMonitor()
+    for k in range(400):
+        if k == 200:
+            monitor.mark(2.0)
+        monitor.add(round(1e7 * k), (float(k),), 0.01 * k + (2.0 if k >= 300 else 0.0))
+        assert monitor.clock_step() == 0.0
+
+
+@pytest.mark.parametrize("begin", [1.0, CONTACT - 0.1, CONTACT + 0.2])
+def test_encoders_that_die_are_a_problem_and_the_reason(begin):
+    rig = Rig()
+    rig.run(0.5)
+    begin += rig.trial.released
+    rig.silent = {Source.BUFFER: (begin, math.inf)}
+    rig.run(CONTACT + 2.0)
+    rig.trial.add_verdict("undecided", "ended before any contact", is_final=True)
+    trial = rig.run(2.0)
+    assert trial.phase is TrialPhase.OVER
+    [problem] = trial.sensor_problems
+    since = re.fullmatch(r"joint_states: stopped ([\d.]+) s after the release", problem)[1]
+    assert float(since) == pytest.approx(begin - trial.released, abs=0.011)
+    assert trial.outcome[0] == "undecided"
+    assert trial.outcome[1].startswith(trial.sensor_problems[0])
+
+
+def test_cameras_that_are_hidden_at_the_contact_are_no_problem_and_longer_ones_are():
+    for length in (0.5, 1.5):
+        rig = Rig()
+        rig.run(0.5)
+        window = (rig.trial.released + CONTACT, rig.trial.released + CONTACT + length)
+        rig.silent = {Source.CHASER: window, Source.TARGET: window}
+        rig.run(CONTACT + 2.5)
+        rig.trial.add_verdict("captured", "", is_final=True)
+        trial = rig.run(0.1)
+        assert bool(trial.sensor_problems) is (length > 1.0)
+        if trial.sensor_problems:
+            assert "for 1." in trial.sensor_problems[0]
