@@ -1,8 +1,8 @@
 """How many cases the tests try: few in `make test`, all in `make test-all`.
 
 The environment variable CAPTURE_SIM_CASES says which: ``few`` (as without it), ``all``, or a
-number, which stands for all and counts the cases of the tests that draw theirs at random.  Without
-all cases, pytest deselects the tests that are marked ``long``, unless their names are given.
+number, which stands for all and counts the cases of the tests that draw theirs at random.  With
+few, pytest deselects the tests that are marked ``long``.
 """
 
 from __future__ import annotations

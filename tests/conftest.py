@@ -46,8 +46,8 @@ os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(
 
 
 def pytest_collection_modifyitems(config, items):
-    """Leave out what is long, unless all is tried or named; begin with what takes longest."""
-    if not all_cases() and not any("::" in name for name in config.args):
+    """Leave out what is long, unless all is tried; begin with what takes longest."""
+    if not all_cases():
         long = [item for item in items if item.get_closest_marker("long")]
         items[:] = [item for item in items if not item.get_closest_marker("long")]
         config.hook.pytest_deselected(items=long)
@@ -72,6 +72,17 @@ def _loaded():
     """Load what draws once: commands fork a process for each file, which would load it again."""
     with suppress(ImportError):  # a system's ROS has no rerun
         import_module("capture_sim.viewing.rerun_view")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_core():
+    """Make the runs of studies in this process: other cores have tests to run.
+
+    Each new process would load the kernels.  tests/studies compares both, and names the number.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "sched_getaffinity", lambda pid: {0})
+        yield
 
 
 @pytest.fixture

@@ -46,11 +46,12 @@ from capture_sim.messages.topics import (
 from capture_sim.run.run import detect
 from capture_sim.run.verdict import LiveConditions, Received, detect_received
 
-COUNT = cases(few=2, all=2)
+COUNT = cases(few=1, all=2)
+RATES = cases(few=[60.0], all=[60.0, 240.0])  # Hz
 NS = 1_000_000_000
 
 
-@pytest.mark.parametrize("rate", [60.0, 240.0])
+@pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("name", QUALITIES)
 def test_wrong_frames_change_no_verdict(name, rate):
     result = walk(QUALITIES[name], rate, np.random.default_rng(1), COUNT)
@@ -82,7 +83,7 @@ def test_wrong_frames_after_lost_ones_of_a_bench_are_no_loss_of_the_capture():
     assert max(s.distance for s in statuses if s.state is CaptureState.CAPTURED) < 0.006
 
 
-@pytest.mark.parametrize("rate", [60.0, 240.0])
+@pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("name", QUALITIES)
 def test_wrong_frames_after_lost_ones_change_no_verdict(name, rate):
     """Both vehicles are hidden for up to 0.1 s, then one of them is seen at a wrong place."""
@@ -127,7 +128,7 @@ STEPS = {
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("steps", STEPS)
 def test_clamped_and_quantised_sources_are_used(steps, name):
-    for rate in (60.0, 240.0):
+    for rate in RATES:
         measured = stream(name, STEPS[steps], rate, np.random.default_rng(3))
         status, detector = evaluate(measured)
         assert status.state is measured.verdict.state, status.reason
@@ -249,11 +250,11 @@ def random_scene(rng):
 PACKAGED = ("paper_clamped", "paper_undamped", "paper_designed", "paper_case_1", "paper_case_3")
 
 
-@pytest.mark.parametrize("block", range(2))
+@pytest.mark.parametrize("block", range(cases(few=1, all=2)))
 def test_no_bounce_is_rejected(block):
-    """Of the packaged and 100 random scenes, from 0.3 s before the first touch to 1 s after."""
+    """Of the packaged and random scenes, from 0.3 s before the first touch to 1 s after."""
     rng = np.random.default_rng([block, 5])
-    scenes = [random_scene(rng) for _ in range(50)]
+    scenes = [random_scene(rng) for _ in range(cases(few=12, all=50))]
     if block == 0:
         scenes += [load_scene(name) for name in (*PACKAGED, "tilt_0", "tilt_p10", "tilt_m10")]
     touched = 0
@@ -277,7 +278,7 @@ def test_no_bounce_is_rejected(block):
             detector.measure(Source.BUFFER, stamp, buffer)
         detector.finish()
         assert detector.counts.text == "", scene.title
-    assert touched >= 40
+    assert touched >= 0.8 * len(scenes)
 
 
 # the begin of a trial

@@ -49,6 +49,8 @@ INLINE = re.compile(r"`capture-sim ([a-z][^`\n]*)`")
 EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")
 #: Blocks that are not run, by why.
 LEFT_OUT = {"ros2": 10, "terminals": 7, "minutes": 4, "make": 2}
+#: Pages whose blocks take seconds, and show what tests of its own have.
+SLOW_PAGES = {"docs/design.md", "docs/fmu.md", "docs/sweep.md"}
 #: Pages that are measured, by what they claim; the others are written.
 EVIDENCE = {
     "benchmark",
@@ -84,11 +86,8 @@ def run(monkeypatch, capfd, coarse_pictures):
     """A function that runs something in a folder, in this process, and returns what it prints.
 
     ``capture-sim`` with its arguments, other lines of a shell, or a script of Python with its own.
-    Runs of studies are made in this process: other cores have tests to run, and each new process
-    would load the kernels.  tests/studies compares both.
     """
     monkeypatch.setenv("MPLBACKEND", "agg")
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0})
 
     def run_in(folder, command):
         monkeypatch.chdir(folder)
@@ -186,7 +185,12 @@ def commands_of(block):
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if any(not b.left_out for b in blocks(page))]
+    "page",
+    [
+        pytest.param(page, marks=[pytest.mark.long] if page in SLOW_PAGES else [])
+        for page in PAGES
+        if any(not b.left_out for b in blocks(page))
+    ],
 )
 def test_blocks_run_and_print_what_they_say(page, folder, run, capfd):
     names = {}

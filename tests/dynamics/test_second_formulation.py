@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import cases
 from maximal_model import MaximalBench
 from random_accuracy import first_touch, run
 from random_scenes import wide_scenes
@@ -78,6 +79,8 @@ CASES = {
     ),
 }
 
+FEW = ["designed", "buffer of the real kind", "preloaded and sticking", "tabulated with preload"]
+FEW += ["friction, preload and a sticking tip", "inner edges"]
 SEAT = (EventKind.SEATED, EventKind.UNSEATED)
 SLIDE = (EventKind.STICK, EventKind.SLIP)
 
@@ -118,7 +121,7 @@ def agree(found, other, times, exact):
         assert touch["peak_force"] == pytest.approx(twin.peak, rel=1e-7)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", cases(few=FEW, all=list(CASES)))
 def test_maximal_coordinates_agree(name):
     scene_name, overrides, times = CASES[name]
     # steps go over the kink of the rebound's damping wherever the stroke turns
@@ -133,7 +136,7 @@ def test_maximal_coordinates_agree(name):
     assert walls == ({-1, 1} if name == "inner edges" else {-1})
 
 
-@pytest.mark.parametrize("number", LAWS)
+@pytest.mark.parametrize("number", cases(few=[1, 4, 5], all=list(LAWS)))
 def test_maximal_coordinates_agree_on_random_benches(number):
     """Other masses, cones, spins and laws; docs/random_scenes.md has more, and to 1 s."""
     scene = wide_scenes(number + 1)[number]
@@ -147,7 +150,9 @@ def test_maximal_coordinates_agree_on_random_benches(number):
     assert ({EventKind.STICK, EventKind.SLIP} <= kinds) == (number == 4)
 
 
-@pytest.mark.parametrize("number, preload", [(3, 2.0), (4, 20.0), (9, 30.0)])
+@pytest.mark.parametrize(
+    "number, preload", cases(few=[(9, 30.0)], all=[(3, 2.0), (4, 20.0), (9, 30.0)])
+)
 def test_maximal_coordinates_agree_on_random_preloaded_benches(number, preload):
     scene = changed(wide_scenes(number + 1)[number], "buffer.preload", preload)
     touch = first_touch(scene)

@@ -157,7 +157,7 @@ def test_nodes_of_a_killed_suite_end(tmp_path):
             def nodes():
                 return client.node.get_publishers_info_by_topic("/bench/roll")
 
-            wait_until(nodes)
+            wait_until(lambda: len(nodes()) == 4)  # found one after another
             suite.process.kill()
             wait_until(lambda: not nodes(), "nodes go on")
     finally:
@@ -188,6 +188,22 @@ def test_one_ctrl_c_ends_all_without_traceback(tmp_path):
     last = run.statuses[-1]
     assert (last.state.label, last.final) == ("undecided", False)
     assert detect(run_of(run), from_series=True)[-1] == last
+
+
+_FAILS = """
+def fail(self):
+    raise ZeroDivisionError("of the test")
+node.RecorderNode.is_complete = fail
+"""
+
+
+def test_a_recorder_that_fails_leaves_a_file_up_to_there(start_all, tmp_path):
+    nodes = start_all(_FAILS, overrides="[run.t_end=0.5]")
+    assert nodes["recorder"].status() == 1
+    assert "stopped by ZeroDivisionError: of the test" in nodes["recorder"].text
+    run = read_bag(tmp_path / "out" / "tilt_0.mcap")
+    assert not run.damage
+    assert run.samples.size == 501
 
 
 _SMALL_DISK = """

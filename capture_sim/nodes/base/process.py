@@ -14,6 +14,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import rclpy
@@ -90,7 +91,8 @@ def _limit_shutdown() -> None:
     STOP.wait()
     time.sleep(SHUTDOWN_TIMEOUT)
     text = f"no shutdown within {SHUTDOWN_TIMEOUT:g} s, e.g. of a stalled disk: process ended"
-    print(f"{REFUSAL}{text}", file=sys.stderr, flush=True)
+    with suppress(OSError):  # who reads it may have been killed
+        print(f"{REFUSAL}{text}", file=sys.stderr, flush=True)
     os._exit(FAILED)
 
 

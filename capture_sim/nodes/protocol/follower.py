@@ -97,7 +97,7 @@ class RunPart(Protocol):
         """End the run: publish the rest, close files, report missing messages."""
 
     def cancel(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
-        """Leave a run that has not begun: close files."""
+        """Leave a run that has not begun, or in which this node has failed: close files."""
         del run
         return RunReport((end.reason,))
 
@@ -249,6 +249,11 @@ class Follower:
             self._present, self._next = _Participation(self._next, self._followed), None
             try:
                 self._take_part(self._present)
+            except Exception as error:
+                # a node that leaves the network has closed its files
+                reason = one_line(str(error)) or type(error).__name__
+                self._part.cancel(self._present.run, RunEnd(EndKind.CUT, reason))
+                raise
             finally:
                 self._present = None
             gc.collect()
