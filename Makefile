@@ -4,6 +4,8 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
+# They mostly wait.
+NODE_WORKERS := $(shell echo $$(( $$(nproc) + 1 )))
 NUMERICAL := tests/dynamics/test_accuracy.py tests/dynamics/test_second_formulation.py tests/dynamics/test_extremes.py \
 	tests/dynamics/hard_cases/test_edges_and_throat.py
 
@@ -63,7 +65,7 @@ test-core: develop
 
 # A file with the nodes that it shares runs in one process.
 test-nodes: develop
-	$(BIN)/python -m pytest tests/nodes -n auto --dist loadfile --durations=20
+	$(BIN)/python -m pytest tests/nodes -n $(NODE_WORKERS) --dist loadfile --durations=20
 
 build/lint.log: develop
 	@$(MAKE) --no-print-directory lint >$@ 2>&1
@@ -88,7 +90,7 @@ test-numpy1:
 	build/numpy1/$(BIN)/python -m pip install -q -r requirements/workstation.txt
 	build/numpy1/$(BIN)/python -m pip uninstall -q -y rerun-sdk
 	cd build/numpy1 && $(BIN)/python -m pytest tests --ignore tests/nodes -n auto
-	cd build/numpy1 && $(BIN)/python -m pytest tests/nodes -n auto --dist loadfile
+	cd build/numpy1 && $(BIN)/python -m pytest tests/nodes -n $(NODE_WORKERS) --dist loadfile
 
 # Without ROS, in an environment of its own: what README's Python lines need
 test-plain:

@@ -1,17 +1,20 @@
 """Keeps what the tests start apart from everything else on the machine."""
 
 import fcntl
+import io
 import os
 import shutil
 import signal
 import tempfile
 from contextlib import suppress
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
 import hypothesis
 import pytest
-from cases import all_cases
+from cases import all_cases, cases
+from PIL import Image
 
 from capture_sim import load_scene
 from capture_sim.base.compiled.kernels import cache_folder
@@ -19,14 +22,13 @@ from capture_sim.commands.compiling import compile_first
 from capture_sim.hardware.stage import LoopStage
 from tests.domains import claim_domain
 
-#: Pixels per inch of pictures that nobody looks at.
-COARSE = 30
-
 # A shell starts what is in its background with Ctrl-C ignored, and the nodes would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # a busy machine is no failure, and every run tries the same cases
-hypothesis.settings.register_profile("untimed", deadline=None, derandomize=True)
+hypothesis.settings.register_profile(
+    "untimed", deadline=None, derandomize=True, max_examples=cases(few=30, all=100)
+)
 hypothesis.settings.load_profile("untimed")
 
 #: Files of long tests: begun last, one runs on while the other workers have nothing left.
@@ -85,11 +87,48 @@ def _one_core():
         yield
 
 
+def _save_blank(figure, file, format=None, **_):
+    """Save one pixel in place of a figure."""
+    kind = format or Path(file).suffix[1:]
+    data = b"<svg xmlns='http://www.w3.org/2000/svg'/>" if kind == "svg" else _pixel()
+    if hasattr(file, "write"):
+        file.write(data)
+    else:
+        Path(file).write_bytes(data)
+
+
+@cache
+def _pixel():
+    file = io.BytesIO()
+    Image.new("RGB", (1, 1)).save(file, "png")
+    return file.getvalue()
+
+
+def _save_no_rrd(runs, path, *_):
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    Path(path).touch()
+    return Path(path)
+
+
 @pytest.fixture
-def coarse_pictures(monkeypatch):
-    """Draw with few pixels, for tests in which nobody looks at the picture."""
-    monkeypatch.setattr("capture_sim.viewing.style.DPI", COARSE)
-    monkeypatch.setattr("capture_sim.viewing.report._DPI", COARSE)
+def blank_pictures(monkeypatch):
+    """Save every picture as one pixel, and an empty file for rerun with a run's pictures."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", _save_blank)
+    monkeypatch.setattr("capture_sim.viewing.report.small_png", lambda figure, dpi: _pixel())
+    with suppress(ImportError):  # a system's ROS has no rerun
+        monkeypatch.setattr("capture_sim.viewing.rerun_view.save_rrd", _save_no_rrd)
+
+
+@pytest.fixture
+def drawn():
+    """For a test that looks at pictures: outside tests/viewing, others have one pixel."""
+
+
+@pytest.fixture(autouse=True)
+def pictures(request):
+    """Draw nothing at which no test looks."""
+    if "drawn" not in request.fixturenames:
+        request.getfixturevalue("blank_pictures")
 
 
 def pytest_unconfigure():

@@ -81,7 +81,7 @@ def results():
         return measure(True, Progress())
 
 
-def test_a_quick_benchmark_writes_its_page_and_every_trial(results, tmp_path):
+def test_a_quick_benchmark_writes_its_page_and_every_trial(results, tmp_path, drawn):
     save(results, tmp_path)
     page = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
     assert "capture_sim needs" in page

@@ -13,7 +13,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 UV = Path(sys.prefix, "bin", "uv")
-pytestmark = pytest.mark.skipif(not UV.is_file(), reason="uv is not installed")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(not UV.is_file(), reason="uv is not installed"),
+]
 
 
 def environment():

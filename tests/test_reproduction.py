@@ -152,7 +152,7 @@ def test_every_figure_shows_curves_of_finite_numbers(evidence, name):
     assert all(np.isfinite(data).any() for data in drawn if len(data))
 
 
-def test_one_figure_by_the_command(tmp_path, monkeypatch):
+def test_one_figure_by_the_command(tmp_path, monkeypatch, drawn):
     arguments = ["reproduction", "--only", "figure_12", "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", arguments)
     reproduction.main()

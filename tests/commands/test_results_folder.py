@@ -198,6 +198,7 @@ def test_a_file_that_changes_is_read_again(folder):
     ]
 
 
+@pytest.mark.long
 def test_two_commands_at_once(tmp_path):
     """However they alternate, the tables of the folder list what both have recorded."""
     compile_kernels()

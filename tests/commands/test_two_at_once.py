@@ -3,10 +3,13 @@
 import subprocess
 import sys
 
+import pytest
+
 from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.recording.bag import read_bag
 
 
+@pytest.mark.long
 def test_two_runs_into_one_folder(tmp_path):
     compile_kernels()
     short = ["paper_designed", "--set", "run.t_end=0.3"]

@@ -28,7 +28,6 @@ def recorded(tmp_path_factory):
     ]
 
 
-@pytest.mark.usefixtures("coarse_pictures")
 def test_pictures_of_one_run_leave_an_earlier_overview(recorded, tmp_path):
     pytest.importorskip("rerun", reason="needs rerun")
     path = str(recorded[0])
@@ -38,7 +37,6 @@ def test_pictures_of_one_run_leave_an_earlier_overview(recorded, tmp_path):
     assert (tmp_path / "overview.png").read_text() == "of earlier runs"
 
 
-@pytest.mark.usefixtures("coarse_pictures")
 def test_plots_and_reports_go_next_to_the_recording(recorded, tmp_path, monkeypatch):
     """Not into the current folder; and what `run` has drawn stays as it is."""
     pytest.importorskip("rerun", reason="needs rerun")
@@ -71,7 +69,6 @@ def test_of_a_run_that_was_recorded_again_the_newest_is_shown(recorded, tmp_path
     assert "a_2.mcap: left out" in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("coarse_pictures")
 def test_pictures_and_titles_bear_the_recordings_names(recorded, tmp_path, capfd):
     """Two folders with files of the same name, which has blanks."""
     pytest.importorskip("rerun", reason="needs rerun")
@@ -97,7 +94,7 @@ def test_no_number_makes_one_name_anothers():
     assert distinct[1::2] == names[1::2]
 
 
-def test_a_plot_of_each_quantity_is_written_as_svg_and_png(recorded, tmp_path):
+def test_a_plot_of_each_quantity_is_written_as_svg_and_png(recorded, tmp_path, drawn):
     pytest.importorskip("rerun", reason="needs rerun")
     options = ["--figures", "--save", str(tmp_path / "x" / "window.rrd"), "--out", str(tmp_path)]
     window = ["--window", "2.7", "2.9"]
@@ -109,7 +106,7 @@ def test_a_plot_of_each_quantity_is_written_as_svg_and_png(recorded, tmp_path):
         assert imread(tmp_path / "figures" / f"{figure}.png").std() > 0.02
 
 
-def test_bag_of_a_bench_is_drawn_when_its_geometry_is_named(recorded, tmp_path, capsys):
+def test_bag_of_a_bench_is_drawn_when_its_geometry_is_named(recorded, tmp_path, capsys, drawn):
     bag = str(of_a_bench(recorded[1], tmp_path / "trial.mcap"))
     assert main(["view", bag, "--out", str(tmp_path)]) == 2
     error = capsys.readouterr().err
@@ -130,7 +127,6 @@ def bag_of(file, folder):
     return folder
 
 
-@pytest.mark.usefixtures("coarse_pictures")
 def test_bags_folder_is_a_recording_to_every_command(recorded, tmp_path, capsys):
     bag = str(bag_of(recorded[1], tmp_path / "bag"))
     assert load(bag, ["friction.mu=0.3"]) == capture_sim.load_scene("tilt_p10", ["friction.mu=0.3"])
@@ -140,7 +136,6 @@ def test_bags_folder_is_a_recording_to_every_command(recorded, tmp_path, capsys)
     assert "tilt_p10" in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("coarse_pictures")
 def test_folder_of_two_trials_is_drawn_and_taken_for_one_by_nothing(recorded, tmp_path, capsys):
     pytest.importorskip("rerun", reason="needs rerun")
     trials = tmp_path / "trials"

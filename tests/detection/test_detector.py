@@ -40,7 +40,7 @@ def runs():
 def test_noise_loss_and_jitter_change_no_verdict(runs, name):
     """docs/detection_checked.md has 340 replays of each run; CAPTURE_SIM_CASES: some."""
     result = runs[name]
-    for seed in range(cases(few=3, all=3)):
+    for seed in range(cases(few=1, all=3)):
         rng = np.random.default_rng([seed, 1])
         last, _ = judge(result.scene, disturbed(result, Disturbance(), rng))
         assert last.state.label == result.verdict, f"seed {seed}: {last.reason}"
@@ -243,7 +243,7 @@ def test_clocks_that_differ_do_so_when_the_machine_halts_too():
 def test_a_node_that_halts_again_and_again_gives_the_verdict():
     """What has come meanwhile is evaluated at once, source by source."""
     stream = list(approach(hold=2.0))
-    for seed in range(cases(few=3, all=3)):
+    for seed in range(cases(few=1, all=3)):
         rng = np.random.default_rng(seed)
         detector = CaptureDetector(load_scene("tilt_0"), is_released=False)
         halts, end = [], 0.0

@@ -16,7 +16,6 @@ import ast
 import contextlib
 import itertools
 import json
-import os
 import re
 import runpy
 import shlex
@@ -82,7 +81,7 @@ def blocks(page):
 
 
 @pytest.fixture
-def run(monkeypatch, capfd, coarse_pictures):
+def run(monkeypatch, capfd):
     """A function that runs something in a folder, in this process, and returns what it prints.
 
     ``capture-sim`` with its arguments, other lines of a shell, or a script of Python with its own.
@@ -239,7 +238,7 @@ def test_the_table_of_the_readme_holds(recordings):
         assert cells == [text.format(*numbers) for text, *numbers in values], head
 
 
-def test_sweep_finds_what_captures(tmp_path, run):
+def test_sweep_finds_what_captures(tmp_path, run, drawn):
     captured, of = map(int, re.findall(r"\d+", run(tmp_path, f"{ROOT}/examples/sweep_damping.py")))
     assert 0 < captured < of
     assert (tmp_path / "sweep_damping.png").stat().st_size > 5000

@@ -234,6 +234,7 @@ def seen(site, tmp_path_factory):
 
 
 @needs_chromium
+@pytest.mark.long
 def test_a_browser_opens_every_page_without_an_error(seen):
     assert set(seen.pages) == {(path, width) for path in ADDRESSES for width in WIDTHS}
     assert not seen.console
@@ -244,6 +245,7 @@ def test_a_browser_opens_every_page_without_an_error(seen):
 
 
 @needs_chromium
+@pytest.mark.long
 def test_no_markup_is_left_in_what_a_browser_shows(seen):
     for place, page in seen.pages.items():
         left = LEFT_OVER.search(page["prose"])
@@ -252,6 +254,7 @@ def test_no_markup_is_left_in_what_a_browser_shows(seen):
 
 
 @needs_chromium
+@pytest.mark.long
 def test_no_page_is_wider_than_the_window(seen):
     """Tables and code scroll on their own."""
     wide = {place: page["widest"] for place, page in seen.pages.items() if page["overflow"] > 0}
@@ -259,6 +262,7 @@ def test_no_page_is_wider_than_the_window(seen):
 
 
 @needs_chromium
+@pytest.mark.long
 def test_on_a_screen_tables_and_the_start_page_show_all_their_columns(seen):
     cut = {path: seen.pages[path, 1300]["cut"] for path in ADDRESSES}
     assert not cut["/"]
@@ -266,6 +270,7 @@ def test_on_a_screen_tables_and_the_start_page_show_all_their_columns(seen):
 
 
 @needs_chromium
+@pytest.mark.long
 def test_a_browser_draws_every_formula_as_it_is_written(seen, hooks):
     """Fractions, powers, indices and dots are in place, and brackets are as high as a matrix."""
     n_brackets = 0

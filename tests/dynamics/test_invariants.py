@@ -5,6 +5,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 RUN = """
 import json, sys, invariants
 from capture_sim import Bench, load_scene
@@ -28,6 +30,7 @@ CASES = [
 ]
 
 
+@pytest.mark.long
 def test_groups_of_the_record_agree_between_all_segments():
     run = subprocess.run(
         [sys.executable, "-c", RUN, json.dumps([case[:2] for case in CASES])],

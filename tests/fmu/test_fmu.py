@@ -8,6 +8,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from cases import cases
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
@@ -103,7 +104,7 @@ def raises(messages, text, error=FMICallException):
     assert any(text in message for message in messages), messages
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", cases(few=["tilt_p10", "paper_undamped"], all=SCENES))
 def test_a_unit_is_valid_and_equals_the_run_in_python(unit, name):
     """At every communication point, in every output."""
     path = unit(name)
@@ -358,6 +359,7 @@ def test_a_run_that_cannot_continue_says_why(tmp_path, instances):
         instance.step(0.0, 1.0)
 
 
+@pytest.mark.long
 def test_the_portable_unit_needs_no_special_instructions(tmp_path):
     assert instructions(portable=True) == ()
     unit = make_unit(load_scene("tilt_0"), portable=True)

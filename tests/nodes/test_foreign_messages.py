@@ -26,7 +26,7 @@ from tests.nodes.bench_processes import processes
 from tests.nodes.forked import Forked
 from tests.nodes.own_domain import own_domain
 
-EXAMPLES = cases(few=300, all=300)
+EXAMPLES = cases(few=120, all=300)
 READY = ("launcher", "capture_detector", "recorder", "viewer", CONTACT_RIG)
 SCENES = [load_scene(name).to_yaml() for name in ("tilt_0", "paper_undamped")]
 RUNS = ("", "run_1", "run_2", "../x", "\x1b[2J\n", "x" * 5000)

@@ -202,6 +202,7 @@ def test_a_step_that_is_late_is_never_caught_up_with(start, tmp_path):
     assert found[0.05]["largest_lateness"] >= 0.05
 
 
+@pytest.mark.long
 def test_a_reader_that_takes_nothing_does_not_hold_the_loop_up(start):
     """It keeps all, and is never asked for any: 6000 positions, more than DDS holds for it.
 
@@ -232,6 +233,7 @@ def test_why_a_wrench_cannot_be_used_is_reported(start, client):
     assert "stamped by a wall clock" in loop.text
 
 
+@pytest.mark.long
 def test_runs_after_each_other_on_one_rig(lockstep, tmp_path):
     """The first ends in contact, the second finds the law, the third begins with it."""
     lockstep.rig(damping=3.0)
@@ -308,6 +310,7 @@ def test_a_tip_that_is_not_at_the_first_position_starts_no_loop(start, client, p
     assert "distance of loop/rig_tip from the first position = 30 mm after 0.5 s" in loop.text
 
 
+@pytest.mark.long
 def test_a_restitution_without_contact_on_the_rig_is_reported_as_not_known(lockstep, tmp_path):
     lockstep.rig(wall_offset=-0.005)
     report = tmp_path / "report.json"
@@ -320,6 +323,7 @@ def test_a_restitution_without_contact_on_the_rig_is_reported_as_not_known(locks
     assert touch["is_held"] is None
 
 
+@pytest.mark.long
 def test_the_robot_of_the_example_drives_to_the_start_serves_a_loop_and_holds(start):
     """It also holds when the loop's process is killed: positions stay away."""
     example = Path(__file__).parents[2] / "examples" / "robot_adapter.py"

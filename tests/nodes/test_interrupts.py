@@ -9,6 +9,7 @@ import threading
 import time
 
 import pytest
+from cases import cases
 
 import capture_sim
 from capture_sim import load_scene
@@ -131,7 +132,7 @@ def test_interrupt_within_a_destructor_is_not_lost(tmp_path):
     assert (status, said) == (0, "cleaned up\n")
 
 
-@pytest.mark.parametrize("status", [0, 1])
+@pytest.mark.parametrize("status", cases(few=[1], all=[0, 1]))
 def test_end_is_bounded_where_dds_spins_with_the_lock_of_python(tmp_path, status):
     ended_with, said = ended(
         f"""
@@ -183,22 +184,26 @@ def test_shutdown_is_bounded_where_a_disk_is_stalled(start, tmp_path):
     assert simulator.status() == 0, simulator.text
 
 
-# At any moment of loading the compiler and of compiling; where that is over, in what comes then
-@pytest.mark.parametrize(
-    "program, status, after",
-    [
-        ("from capture_sim.cli import main; raise SystemExit(main(['run', 'tilt_0']))", 130, 0.7),
-        ("from capture_sim.nodes.simulator import main; raise SystemExit(main())", 0, 2.5),
-        (  # it says nothing before
-            "from capture_sim.nodes.loop_simulator import main; print('compiling'); "
-            "raise SystemExit(main())",
-            0,
-            2.5,
-        ),
-    ],
-    ids=["command", "node", "loop"],
-)
-def test_compiling_is_interrupted_at_once(tmp_path, program, status, after):
+#: At any moment of loading the compiler and of compiling; where that is over, in what comes then
+COMPILING = {
+    "command": (
+        "from capture_sim.cli import main; raise SystemExit(main(['run', 'tilt_0']))",
+        130,
+        0.7,
+    ),
+    "node": ("from capture_sim.nodes.simulator import main; raise SystemExit(main())", 0, 2.5),
+    "loop": (  # it says nothing before
+        "from capture_sim.nodes.loop_simulator import main; print('compiling'); "
+        "raise SystemExit(main())",
+        0,
+        2.5,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", cases(few=["node"], all=list(COMPILING)))
+def test_compiling_is_interrupted_at_once(tmp_path, name):
+    program, status, after = COMPILING[name]
     ended_with, said = ended(program, tmp_path, words="compiling", after=after)
     assert "Traceback" not in said
     assert ended_with == status, said

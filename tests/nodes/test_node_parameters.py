@@ -7,6 +7,7 @@ import sys
 import pytest
 import rclpy
 import yaml
+from cases import cases
 
 from capture_sim.base.resources import config_dir
 from capture_sim.nodes.capture_detector import CaptureDetectorNode
@@ -47,7 +48,10 @@ def test_nodes_keep_nothing_under_a_name_of_rclpys_node(context):
     node.destroy_node()
 
 
-@pytest.mark.parametrize("name", ["launcher", "recorder", "capture_detector"])
+NUMBA_FREE = ["launcher", "recorder", "capture_detector"]
+
+
+@pytest.mark.parametrize("name", cases(few=NUMBA_FREE[1:2], all=NUMBA_FREE))
 def test_nodes_that_compile_nothing_start_without_numba(name):
     program = f"import sys, capture_sim.nodes.{name}\nraise SystemExit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program]).returncode == 0

@@ -237,6 +237,7 @@ RunWriter.write = stall
 """
 
 
+@pytest.mark.long
 def test_stalled_disk_ends_the_recording_and_no_run(start_all):
     nodes = start_all(_STALLED_DISK)
     found = statuses(nodes)

@@ -27,7 +27,7 @@ from tests.nodes.bench_client import ros_arguments
 from tests.nodes.bench_processes import Started, fresh
 from tests.nodes.own_domain import own_domain, participant
 
-EXAMPLES = cases(few=300, all=300)
+EXAMPLES = cases(few=60, all=300)
 NODES = ("simulator", "launcher", "capture_detector", "recorder")
 #: What may be changed while a node runs; all else is read-only.
 CHANGED = {

@@ -4,6 +4,8 @@ import signal
 import time
 from pathlib import Path
 
+import pytest
+
 from capture_sim.recording.bag import read_bag
 
 NODES = 20
@@ -12,6 +14,7 @@ STOP = 7.0
 INTERVAL = 0.4  # s, between the stops of two nodes: some sleep while others wake
 
 
+@pytest.mark.long
 def test_twenty_nodes_each_stopped_for_a_while_are_all_in_the_next_run(start, tmp_path):
     names = [f"recorder_{i}" for i in range(NODES)]
     nodes = [start("recorder", out=tmp_path / name, __node=name) for name in names]

@@ -335,6 +335,7 @@ Launcher.observe = lambda *arguments: (time.sleep(5e-4), observe(*arguments))[1]
 """
 
 
+@pytest.mark.long
 def test_every_topic_with_every_sample_loses_nothing_with_a_slow_reader(start_all, tmp_path):
     nodes = start_all(launcher={"change": SLOW}, overrides="[run.rate=1000, run.t_end=1.2]")
     assert statuses(nodes) == dict.fromkeys(nodes, 0)
@@ -343,6 +344,7 @@ def test_every_topic_with_every_sample_loses_nothing_with_a_slow_reader(start_al
     assert run.topics["/joint_states"] == run.topics["/bench/state"] == 1201
 
 
+@pytest.mark.long
 def test_reader_that_stalls_is_dropped_by_name_and_costs_the_others_nothing(start_all, tmp_path):
     """A plain node subscribes with KEEP_ALL and never reads: the run has more than DDS keeps."""
     with Client("asleep") as client:

@@ -133,6 +133,7 @@ def test_touches_that_come_after_the_end_of_their_run_are_shown(viewer, run, tmp
     assert ended(node)
 
 
+@pytest.mark.long
 def test_node_shows_a_bench_that_announces_no_run(viewer, run, tmp_path):
     path = write_run(run, tmp_path / "bench.mcap")
     node, address = viewer(scene="tilt_0")

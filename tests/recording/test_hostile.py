@@ -36,7 +36,7 @@ from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.scan import UNPACKED_LEAST
 
-CASES = cases(few=100, all=100)
+CASES = cases(few=30, all=100)
 COMMANDS = ("detect", "export", "compare", "identify")
 
 

@@ -40,7 +40,6 @@ def rig_bag(path, tmp_path_factory):
     return renamed(of_a_bench(path, folder / "bench.mcap"), folder / "rig.mcap")
 
 
-@pytest.mark.usefixtures("coarse_pictures")
 def test_every_command_reads_remapped_topics(path, rig_bag, tmp_path, capsys):
     scene = ["--scene", "tilt_0"]
     out = ["--out", str(tmp_path / "out")]

@@ -18,7 +18,7 @@ from capture_sim.scene.loading import load_scene_text
 from capture_sim.scene.quantities import ANY, declared, shown
 
 pytestmark = pytest.mark.filterwarnings("error")  # of NumPy: a number has overflowed
-EXAMPLES = cases(few=120, all=120)
+EXAMPLES = cases(few=40, all=120)
 some = settings(
     max_examples=EXAMPLES,
     derandomize=True,

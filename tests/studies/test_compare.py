@@ -186,7 +186,7 @@ def test_touches_are_paired_by_wall_and_time(a, b, pairs):
     assert sorted(map(str, swapped)) == sorted(str((k, i)) for i, k in pairs)
 
 
-def test_compare_command(path, other, bench_bag, tmp_path, capsys):
+def test_compare_command(path, other, bench_bag, tmp_path, capsys, drawn):
     assert main(["compare", str(path), str(other), "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "peak force of first contact, N" in said

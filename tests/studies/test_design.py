@@ -223,6 +223,7 @@ def test_a_capture_range_is_required_and_measured(servicer):
         Requirements(most)
 
 
+@pytest.mark.long
 def test_a_robust_design_holds_for_draws_that_the_search_never_saw(servicer, monkeypatch):
     """Drawn here with other seeds, by hand; the design for the nominal case does not hold.
 
@@ -273,7 +274,7 @@ def test_ctrl_c_keeps_what_was_found(servicer, tmp_path, capsys, monkeypatch):
     assert len(json.loads((tmp_path / "design.json").read_text())["history"]) < 100
 
 
-def test_the_command_leaves_scenes_that_run_to_the_figures_of_its_table(tmp_path, capsys):
+def test_the_command_leaves_scenes_that_run_to_the_figures_of_its_table(tmp_path, capsys, drawn):
     limits = ["--stroke-limit=15", "--limit=max_torsion=30 mrad", "--peak-force=345"]
     free = ["--free=buffer.c_A=100:2000", "--set=run.rtol=1e-6", "--set=run.t_end=1"]
     free += ["--minimize=max_axial_stroke_in,max_buffer_force", "--candidates=120"]

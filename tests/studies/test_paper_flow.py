@@ -190,7 +190,7 @@ def test_the_search_for_springs_ends_where_nothing_can_be_met(paper):
     assert len(tried) <= 26
 
 
-def test_the_command_leaves_a_scene_that_captures(tmp_path, capsys):
+def test_the_command_leaves_a_scene_that_captures(tmp_path, capsys, drawn):
     how = ["design", "--first-contact", "--out", str(tmp_path)]
     assert main(how) == 0
     printed = capsys.readouterr().out

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from cases import cases
 from pandas.testing import assert_frame_equal
 from scipy import stats
 
@@ -510,7 +511,10 @@ def test_ctrl_c_keeps_the_rows_that_are_done(scenes_run):
     assert_frame_equal(table, whole[:40])
 
 
-@pytest.mark.parametrize("number, to_all", [(signal.SIGINT, False), (signal.SIGTERM, True)])
+@pytest.mark.parametrize(
+    "number, to_all",
+    cases(few=[(signal.SIGINT, False)], all=[(signal.SIGINT, False), (signal.SIGTERM, True)]),
+)
 def test_a_command_that_is_ended_keeps_the_rows_and_says_so(number, to_all, tmp_path):
     """By Ctrl-C, or as a batch queue ends all processes of a job; it reports from 0.1 s on."""
     out = tmp_path / "t.csv"
@@ -541,7 +545,7 @@ def child_processes(pid):
     return []
 
 
-@pytest.mark.parametrize("children", [1, 4])
+@pytest.mark.parametrize("children", cases(few=[1], all=[1, 4]))
 def test_ctrl_c_while_workers_are_started_leaves_nothing_behind(children, tmp_path):
     """The terminal sends it to all processes of the command, whose first child is a tracker."""
     out = tmp_path / "t.csv"

@@ -19,7 +19,7 @@ from capture_sim.trial.interlocks import Interlocks, TrialLimits
 from capture_sim.trial.trial import Trial, TrialGoal, TrialPhase
 
 SCENE = load_scene("tilt_0")
-SEEDS = range(cases(few=2, all=2))
+SEEDS = range(cases(few=1, all=2))
 TOPICS = {source: (source.value,) for source in Source}
 
 

@@ -7,6 +7,11 @@ import pytest
 import capture_sim
 
 
+@pytest.fixture(autouse=True)
+def pictures():
+    """Here they are looked at."""
+
+
 @pytest.fixture(scope="session")
 def runs():
     """The target at 0, +10 and -10 degrees."""

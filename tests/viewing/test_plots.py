@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from cases import cases
 from matplotlib.contour import QuadContourSet
 from PIL import Image
 
@@ -37,6 +38,19 @@ DPI = 30
 BLOCK = 6  # pixels
 #: Largest difference of a block's mean, of 1.  Text of another version of FreeType: below 0.1.
 TOLERANCE = 0.15
+
+
+ODD_RUNS = {
+    "one sample": ("tilt_0", {"run.t_end": 5e-4}),
+    **cases(
+        few={},
+        all={
+            "at rest": ("paper_designed", {"initial.chaser.vx": 0, "run.t_end": 0.5}),
+            "no touch": ("tilt_0", {"run.t_end": 1.0}),
+            "verdict before the touch": ("tilt_0", {"detector.capture_radius": 1}),
+        },
+    ),
+}
 
 
 @cache
@@ -127,16 +141,7 @@ def test_located_peaks_are_marked_on_the_force(tmp_path):
     assert low < touches["peak_force"].min() < touches["peak_force"].max() < high
 
 
-@pytest.mark.parametrize(
-    "scene, changes",
-    [
-        ("paper_designed", {"initial.chaser.vx": 0, "run.t_end": 0.5}),
-        ("tilt_0", {"run.t_end": 5e-4}),
-        ("tilt_0", {"run.t_end": 1.0}),
-        ("tilt_0", {"detector.capture_radius": 1}),
-    ],
-    ids=["at rest", "one sample", "no touch", "verdict before the touch"],
-)
+@pytest.mark.parametrize("scene, changes", ODD_RUNS.values(), ids=ODD_RUNS)
 def test_odd_runs_are_drawn_without_a_warning(scene, changes):
     odd = capture_sim.simulate(scene, changes)
     with warnings.catch_warnings():

@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from browser import needs_chromium, open_page
+from cases import cases
 from PIL import Image
 
 import capture_sim
@@ -131,6 +132,7 @@ def test_a_recording_that_was_altered_is_not_stated_as_reproduced(runs, folder):
     assert "the same states to 1.0e-06 m and rad" in statement
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_title_that_is_a_script_and_a_run_without_a_touch(tmp_path):
     title = ["title='<script>alert(1)</script> & co'"]
     odd = capture_sim.simulate(capture_sim.load_scene("paper_designed", title), t_end=0.3)
@@ -140,6 +142,7 @@ def test_a_title_that_is_a_script_and_a_run_without_a_touch(tmp_path):
     assert "no touch" in text
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_scenes_are_run_and_a_folder_gets_the_page(tmp_path, capsys):
     assert main(["report", "paper_designed", "--out", str(tmp_path / "new")]) == 0
     assert "captured" in (tmp_path / "new" / "report.html").read_text(encoding="utf-8")
@@ -152,7 +155,7 @@ def test_scenes_are_run_and_a_folder_gets_the_page(tmp_path, capsys):
 
 
 @needs_chromium
-@pytest.mark.parametrize("width", [500, 1240])
+@pytest.mark.parametrize("width", cases(few=[500], all=[500, 1240]))
 def test_page_opens_on_a_phone_and_a_screen_without_errors(text, folder, tmp_path, width):
     shot = tmp_path / "page.png"
     size = (f"--window-size={width},3000", f"--screenshot={shot}")
@@ -164,6 +167,7 @@ def test_page_opens_on_a_phone_and_a_screen_without_errors(text, folder, tmp_pat
 
 
 @needs_chromium
+@pytest.mark.long
 def test_page_prints_on_a4_and_forbids_requests(text, tmp_path):
     altered, printed = tmp_path / "altered.html", tmp_path / "page.pdf"
     altered.write_text(text.replace("<h1>", '<img src="http://example.org/x.png"><h1>'))

@@ -235,6 +235,7 @@ def labels_of_time(diagram):
     return 1 + int((np.diff(bright) > LABEL_GAP).sum())
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not software_vulkan(), reason="needs mesa-vulkan-drivers and libvulkan1")
 def test_it_opens_paused_before_the_first_touch_with_every_run_in_its_colour(rrd, runs):
     with opened(rrd) as viewer:
