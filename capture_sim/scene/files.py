@@ -168,16 +168,18 @@ def find_scene(name_or_path: str | Path, folder: Path | None = None) -> Path:
     raise SceneError(f"scene {shown(text)}: not found; {hint}")
 
 
-def read_scene(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Any]:
+def read_scene(path: Path, files: list[Path]) -> dict[str, Any]:
     """Return the values of a scene file, merged over the files that it extends, unchecked.
 
-    ``extended_by`` are the files that led here, first to last.  SceneError if a file is invalid.
+    ``files`` are those that led here, first to last; this one and those that it extends are added.
+    SceneError if a file is invalid.
     """
     resolved = path.resolve()
-    if resolved in extended_by:
-        raise SceneError(f"{path.name}: extends itself through {extended_by[-1].name}")
-    if len(extended_by) >= MAX_FILES:
-        raise SceneError(f"{extended_by[0].name}: more than {MAX_FILES} files extend each other")
+    if resolved in files:
+        raise SceneError(f"{path.name}: extends itself through {files[-1].name}")
+    if len(files) >= MAX_FILES:
+        raise SceneError(f"{files[0].name}: more than {MAX_FILES} files extend each other")
+    files.append(resolved)
     try:
         with path.open(encoding="utf-8") as file:
             text = file.read(MAX_TEXT + 1)
@@ -191,7 +193,7 @@ def read_scene(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Any]
         return data
     if not isinstance(parent, str):
         raise SceneError(f"{path.name}: extends = {shown(parent)}: must be the name of a scene")
-    return _merged(read_scene(find_scene(parent, path.parent), (*extended_by, resolved)), data)
+    return _merged(read_scene(find_scene(parent, path.parent), files), data)
 
 
 def _merged(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -214,24 +216,28 @@ def has_overrides(overrides: Overrides) -> bool:
     return not isinstance(overrides, Sized) or len(overrides) > 0
 
 
-def overridden(data: dict[str, Any], overrides: Overrides) -> tuple[dict[str, Any], list[str]]:
-    """Return a scene's data with values changed, and the changes as ``name=value``.
-
-    SceneError if an override is not of this form.
-    """
+def override_items(overrides: Overrides) -> list[tuple[str, Any]]:
+    """Return the names and values of overrides; SceneError if one is not of their form."""
     if isinstance(overrides, str):
         overrides = [overrides]
     # a row of a pandas table has items(), but is no Mapping
     named = getattr(overrides, "items", None)
-    items = map(_split_override, overrides) if named is None else named()
-    changes = []
+    return list(map(_split_override, overrides) if named is None else named())
+
+
+def override_texts(items: Iterable[tuple[str, Any]]) -> list[str]:
+    """Return overrides as ``name=value``."""
+    return [f"{name}={value if isinstance(value, str) else shown(value)}" for name, value in items]
+
+
+def overridden(data: dict[str, Any], items: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a scene's data with the values of overrides."""
     for name, value in items:
         nested = value
         for part in reversed(name.split(".", MAX_DEPTH)):
             nested = {part: nested}
         data = _merged(data, nested)
-        changes.append(f"{name}={value if isinstance(value, str) else shown(value)}")
-    return data, changes
+    return data
 
 
 def _split_override(item: str) -> tuple[str, Any]:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import itertools
 import math
+import os
 import re
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from capture_sim.base.compiled.kernels import plain
 from capture_sim.base.resources import config_dir
 from capture_sim.errors import SceneError
+from capture_sim.scene import paths
 from capture_sim.scene.approach import approached
 from capture_sim.scene.ball_loads import LOADS, loads
 from capture_sim.scene.cache import depends_on
@@ -22,8 +26,11 @@ from capture_sim.scene.files import (
     Overrides,
     build,
     find_scene,
+    has_overrides,
     known_fields,
     overridden,
+    override_items,
+    override_texts,
     parse_scene,
     read_scene,
 )
@@ -36,7 +43,7 @@ from capture_sim.scene.launch_plan import (
     travel_to_touch,
 )
 from capture_sim.scene.parts import HERTZ, NEED_POSITIVE_RESTITUTION, Scene, as_mapping, as_name
-from capture_sim.scene.quantities import refuse, shown
+from capture_sim.scene.quantities import Checked, declared, refuse, replaced, shown
 
 #: Between a scene's title and the list of its changes.
 _CHANGED = "; with "
@@ -77,8 +84,12 @@ def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
         The scene is not found or a value is invalid; the message names field, value, unit and
         allowed range in one line.
     """
+    kept = _packaged.get(name_or_path) if isinstance(name_or_path, str) else None
+    if kept is not None and kept.is_current():
+        return change_scene(kept.scene, overrides) if has_overrides(overrides) else kept.scene
     path = find_scene(name_or_path)
-    data = read_scene(path)
+    files: list[Path] = []
+    data = read_scene(path, files)
     data.setdefault("name", path.stem)
     data.setdefault("title", str(data["name"]))
     if path.parent != config_dir() / "scenes":
@@ -87,7 +98,42 @@ def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
             check_scene(build(data))
         except SceneError as error:
             raise SceneError(f"{path.name}: {error}") from None
-    return _changed(data, overrides)
+    elif isinstance(name_or_path, str):
+        _keep(name_or_path, files, data)
+    return _changed(data, override_items(overrides))
+
+
+class _Packaged(NamedTuple):
+    """A packaged scene and the files that it was read from."""
+
+    scene: Scene
+    files: list[tuple[Path, tuple[int, ...]]]  # with the state of each
+
+    def is_current(self) -> bool:
+        """Return True unless a file has changed."""
+        return all(_state_of(path) == state for path, state in self.files)
+
+
+#: Packaged scenes by name: reading one takes half as long as its run.
+_packaged: dict[str, _Packaged] = {}
+#: Age from which a file's state tells its contents: the clock of a file system has steps, s.
+_SETTLED = 2.0
+
+
+def _state_of(path: Path) -> tuple[int, ...]:
+    try:
+        found = os.stat(path)  # noqa: PTH116
+    except OSError:
+        return ()
+    return found.st_mtime_ns, found.st_ctime_ns, found.st_size, found.st_ino
+
+
+def _keep(name: str, files: Sequence[Path], data: dict[str, object]) -> None:
+    states = [(path, _state_of(path)) for path in files]
+    settled = (time.time() - _SETTLED) * 1e9
+    if all(state and max(state[:2]) < settled for _, state in states):
+        with suppress(SceneError):  # the overrides may complete it
+            _packaged[name] = _Packaged(_changed(data, []), states)
 
 
 def load_requested(text: str, overrides: Overrides = (), folder: Path | None = None) -> Scene:
@@ -110,25 +156,48 @@ def load_scene_text(text: str, overrides: Overrides = (), *, only_known: bool = 
     ``only_known`` leaves out the fields that this version does not know.  See :func:`load_scene`.
     """
     data = parse_scene(text, "scene")
-    return _changed(known_fields(data) if only_known else data, overrides)
+    items = override_items(overrides)
+    return _changed(known_fields(data) if only_known else data, items)
 
 
 def change_scene(scene: Scene, overrides: Overrides) -> Scene:
     """Return a scene with changed values; see :func:`load_scene`."""
-    return _changed(as_mapping(scene), overrides)
+    items = override_items(overrides)
+    if all(_is_value(scene, name) for name, _ in items):
+        with suppress(SceneError):  # refused again below, with all wrong values by their names
+            return _finished(paths.with_values(scene, dict(items)), items)
+    return _changed(as_mapping(scene), items)
 
 
-def _changed(data: dict[str, object], overrides: Overrides) -> Scene:
+def _is_value(scene: Scene, name: str) -> bool:
+    """Return True for the path of a value, not of a part, in a part that the scene has."""
+    *owners, last = name.split(".")
+    part: Any = scene
+    for owner in owners:
+        part = part.__dict__.get(owner) if owner in declared(type(part)) else None
+        if not isinstance(part, Checked):
+            return False
+    spec = declared(type(part)).get(last)
+    return spec is not None and not issubclass(spec.kind, Checked)
+
+
+def _changed(data: dict[str, object], items: Sequence[tuple[str, Any]]) -> Scene:
     """Return a checked scene with changed values, which its title lists."""
-    data, changes = overridden(data, overrides)
+    data = overridden(data, items)
     approach = data.pop("approach", None)
     scene: Scene = build(data)
     if approach is not None:
         if not isinstance(approach, Mapping):
             raise SceneError("approach: must be its fields, e.g. approach.angle='5 deg'")
         scene = approached(scene, approach)
-    if changes := [change for change in changes if not change.startswith("title=")]:
-        scene = dataclasses.replace(scene, title=f"{scene.title}{_CHANGED}{', '.join(changes)}")
+    return _finished(scene, items)
+
+
+def _finished(scene: Scene, items: Sequence[tuple[str, Any]]) -> Scene:
+    """Return a changed scene after its check, with the changes in its title."""
+    texts = [text for text in override_texts(items) if not text.startswith("title=")]
+    if texts:
+        scene = replaced(scene, {"title": f"{scene.title}{_CHANGED}{', '.join(texts)}"})
     check_scene(scene)
     return scene
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -9,8 +10,9 @@ import yaml
 from random_scenes import wide_scenes
 
 from capture_sim import Bench, SceneError, load_scene, scene_names
+from capture_sim.base.resources import config_dir
 from capture_sim.cli import main
-from capture_sim.scene.loading import load_scene_text
+from capture_sim.scene.loading import change_scene, load_scene_text
 from capture_sim.scene.parts import PlanarState, Vehicle, as_mapping
 from capture_sim.scene.paths import field_names
 
@@ -210,3 +212,39 @@ def test_a_missing_detector_is_offered_with_its_defaults(tmp_path):
         load_scene(path)
     path.write_text(yaml.safe_dump({**data, "detector": {}}))
     assert load_scene(path).detector.min_dwell == 0.2
+
+
+def outcome(load, *arguments):
+    try:
+        return load(*arguments)
+    except SceneError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize("name", ["tilt_0", "paper_designed"])
+def test_change_of_a_scene_is_that_of_its_text(name):
+    """Values that change alone are not read again with all others; what comes out is the same."""
+    scene = load_scene(name)
+    values = [{field: value} for field in field_names(scene) for value in (1, -1.0, "1 mm", None)]
+    values += [["latch=null"], ["latch.radius=0.001"], ["stops={compression: 0.1}"], {"bufer": 1}]
+    values += [["buffer.k_A=5", "buffer.k_A=6", "title=mine"], ["buffer.k_A=-5", "run.rtol=2"]]
+    for overrides in values:
+        expected = outcome(load_scene_text, scene.to_yaml(), overrides)
+        assert outcome(change_scene, scene, overrides) == expected, overrides
+
+
+def test_packaged_scene_is_read_again_after_a_change_of_a_file(tmp_path, monkeypatch):
+    folder = tmp_path / "scenes"
+    shutil.copytree(config_dir() / "scenes", folder)
+    for module in ("files", "loading"):
+        monkeypatch.setattr(f"capture_sim.scene.{module}.config_dir", lambda: tmp_path)
+    kept = {}
+    monkeypatch.setattr("capture_sim.scene.loading._packaged", kept)
+    assert load_scene("tilt_0").buffer.k_A == 500.0
+    assert not kept  # a file that is just written may change within a tick of its clock
+    monkeypatch.setattr("capture_sim.scene.loading._SETTLED", -1000.0)
+    load_scene("tilt_0")
+    assert load_scene("tilt_0") is load_scene("tilt_0")
+    base = folder / "_table_2.yaml"
+    base.write_text(base.read_text().replace("k_A: 500.0", "k_A: 77.0"))
+    assert load_scene("tilt_0").buffer.k_A == 77.0
