@@ -7,7 +7,8 @@ Poses and buffer of a simulated run are known exactly, at common instants: of th
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, overload
 
 import numpy as np
 
@@ -90,6 +91,64 @@ def follow(criteria, memories, samples, y, rows, to_verdict):
     return samples.size
 
 
+class Statuses(Sequence[CaptureStatus]):
+    """The statuses of a run, from numbers in one array; each becomes an object when it is read.
+
+    Attributes
+    ----------
+    rows
+        (n,) of dtype ROW, one for each sample and one for the end of the run.
+    """
+
+    def __init__(self, rows: np.ndarray, criteria: Criteria, last: CaptureStatus) -> None:
+        self.rows, self._criteria, self._last = rows, criteria, last
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @overload
+    def __getitem__(self, index: int) -> CaptureStatus: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[CaptureStatus]: ...
+
+    def __getitem__(self, index: int | slice) -> CaptureStatus | list[CaptureStatus]:
+        """Return one status, or some."""
+        if isinstance(index, slice):
+            return list(self)[index]
+        if index in (-1, len(self.rows) - 1):
+            return self._last
+        return _Words(self._criteria).status(self.rows[index].item())
+
+    def __iter__(self) -> Iterator[CaptureStatus]:
+        """Yield the statuses in order."""
+        words = _Words(self._criteria)
+        yield from (words.status(row) for row in self.rows[:-1].tolist())
+        yield self._last
+
+    def __eq__(self, other: object) -> bool:
+        """Compare with the statuses of another run, or with a list of statuses."""
+        return isinstance(other, Sequence) and list(self) == list(other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+class _Words:
+    """Turns rows of numbers into statuses; the last reason is kept, as most rows have the same."""
+
+    def __init__(self, criteria: Criteria) -> None:
+        self._criteria = criteria
+        self._last = ((-1, 0.0), "")
+
+    def status(self, row: Any, *, is_over: bool = False) -> CaptureStatus:
+        """Return the status of a row, a tuple of the fields of ROW; ``is_over``: it is final."""
+        state, cause, value, t, *numbers = row
+        if self._last[0] != (cause, value):
+            self._last = (cause, value), reason(self._criteria, cause, value)
+        final = is_over or _STATES[state].is_verdict
+        return CaptureStatus._make((t, _STATES[state], final, *numbers, self._last[1], ""))
+
+
 class ExactDetector:
     """Follows one simulated run, known exactly, from the approach to a verdict.
 
@@ -120,7 +179,7 @@ class ExactDetector:
         self._memory = new_memory(has_approached=True)
         self._y = np.zeros(16)
         self._row = _FIRST_ROW.copy()  # the last status
-        self._text = ((-1, 0.0), "")  # the last reason
+        self._words = _Words(self._criteria)
 
     @property
     def state(self) -> CaptureState:
@@ -141,7 +200,16 @@ class ExactDetector:
         """Return the status at each of the next samples, (n,) of dtype SAMPLE."""
         rows = np.zeros(samples.size, ROW)
         self._follow(samples, rows, to_verdict=False)
-        return [self._status(row) for row in rows.tolist()]
+        return [self._words.status(row) for row in rows.tolist()]
+
+    def statuses(self, samples: np.ndarray, *, cut: bool = False, has_end: bool = True) -> Statuses:
+        """Take all samples of a run, (n,) of dtype SAMPLE, and close it as :meth:`finish` does."""
+        rows = np.zeros(samples.size + 1, ROW)
+        self._follow(samples, rows[:-1], to_verdict=False)
+        rows[-1:] = self._row
+        self._row = rows[-1:]
+        last = self.finish(cut=cut, has_end=has_end)
+        return Statuses(rows, self._criteria, last)
 
     def until_verdict(self, samples: np.ndarray) -> int:
         """Take the next samples, (n,) of dtype SAMPLE, up to the one that brings the verdict.
@@ -189,11 +257,4 @@ class ExactDetector:
         for name in ("state", "cause", "value"):
             row[name] = memory[name]
         row["time_in_state"] = row["t"] - memory["since"]
-        return self._status(row.tolist(), is_over=not cut)
-
-    def _status(self, row: Any, *, is_over: bool = False) -> CaptureStatus:
-        state, cause, value, t, *numbers = row
-        if self._text[0] != (cause, value):
-            self._text = (cause, value), reason(self._criteria, cause, value)
-        final = is_over or _STATES[state].is_verdict
-        return CaptureStatus._make((t, _STATES[state], final, *numbers, self._text[1], ""))
+        return self._words.status(row.tolist(), is_over=not cut)

@@ -41,7 +41,7 @@ from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.base.parameters import declare_scene
 from capture_sim.nodes.base.process import run
 from capture_sim.recording.offline import write_run
-from capture_sim.run.simulation import check_memory
+from capture_sim.run.integration import check_memory
 
 #: The tip's first position is sent this often, s (wall).
 FIRST_POSE_PERIOD = 0.005

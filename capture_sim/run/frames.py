@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from capture_sim.dynamics.samples import Event, EventKind, Phase, columns_of, unit_of_column
-from capture_sim.errors import MissingPackageError, install_hint
+from capture_sim.errors import MissingPackageError, import_failure
 
 if TYPE_CHECKING:
     import pandas
@@ -58,8 +58,9 @@ def _frame(columns: Mapping[str, Any], units: Mapping[str, str] | None = None) -
 def _pandas() -> Any:
     try:
         import pandas
-    except ImportError:
-        raise MissingPackageError(f"to_dataframe() needs pandas: {install_hint('study')}") from None
+    except ImportError as error:
+        text = import_failure("to_dataframe() needs pandas", error, "study")
+        raise MissingPackageError(text) from None
     return pandas
 
 

@@ -29,7 +29,7 @@ from capture_sim.plausibility.measured import Measured
 from capture_sim.plausibility.rules import Doubt, Grade
 from capture_sim.run.doubts import Checked, doubts_of, refuse, remaining
 from capture_sim.run.frames import Table, events_frame, samples_frame, topic_frame, touches_frame
-from capture_sim.run.lazy import Lazy
+from capture_sim.run.lazy import Deferred, Lazy
 from capture_sim.run.loads import loads_of, sampled_extremes
 from capture_sim.run.origin import Origin, scene_origin
 from capture_sim.run.reconstruction import (
@@ -40,7 +40,7 @@ from capture_sim.run.reconstruction import (
     touches_in_samples,
 )
 from capture_sim.run.series import NO_SERIES, STATE, Series, SeriesBySource
-from capture_sim.run.summary import summarize
+from capture_sim.run.summary import end_and_residual, sample_rate, summarize
 from capture_sim.run.summary_table import heads
 from capture_sim.run.summary_table import rows as rows_of
 from capture_sim.run.touches import (
@@ -85,6 +85,13 @@ class Check:
     error: np.ndarray  # (n,), m
     same_touches: bool  # True if both runs touch the same walls in the same order
     failure: str = ""  # reason why the second run stopped early; the error is infinite from there
+
+
+class Integrated(NamedTuple):
+    """What the integration of a simulated run knows without its samples."""
+
+    t_end: float  # s, of the last sample at run.rate
+    energy_residual: float  # J, largest residual of the energy ledger at run.rate
 
 
 class FirstContact(NamedTuple):
@@ -146,6 +153,8 @@ class Run:
         What sensors have measured, for the rules of plausibility; empty for a simulated run.
     waived : sequence of str
         Names of rules that are not checked.
+    integrated : Integrated or None
+        What the integration of a simulated run knows without its samples.
 
     Examples
     --------
@@ -174,6 +183,7 @@ class Run:
     failure: str = ""
     evidence: Lazy[Sequence[Measured]] = Lazy(tuple)
     waived: Sequence[str] = ()
+    integrated: Lazy[Integrated | None] = Lazy(lambda: None)
 
     # what made it
 
@@ -200,7 +210,11 @@ class Run:
     @property
     def is_exact(self) -> bool:
         """True if the full state is known; False for a run known from measurements alone."""
-        return self.state.size > 0
+        # samples that are not computed yet are not computed for this
+        is_simulated = self.__dict__["integrated"] is not None
+        return (is_simulated and isinstance(self.__dict__["state"], Deferred)) or bool(
+            self.state.size
+        )
 
     def replaced(self, **changes: Any) -> Run:
         """Return the run with changed fields; topics that are not yet decoded stay so."""
@@ -419,18 +433,24 @@ class Run:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """Main results of the run, SI units; keys as in results.json."""
+        known = self.integrated
+        if known is None:
+            known = Integrated(*end_and_residual(self.samples, self.scene.run.rate))
         return summarize(
             self.name,
-            self.scene,
-            self.samples,
             self.touches,
             self.events,
             self.statuses[-1] if self.statuses else None,
-            self.wall_time,
-            self.located_extremes,
-            self.problems,
-            self.made_by,
-            [doubt.line for doubt in self.doubts],
+            self.loads,
+            loads_from="integration"
+            if self.located_extremes is not None
+            else f"samples at {sample_rate(self.samples):.4g} Hz",
+            energy_residual=known.energy_residual,
+            simulated=known.t_end,
+            wall_time=self.wall_time,
+            problems=self.problems,
+            made_by=self.made_by,
+            doubts=[doubt.line for doubt in self.doubts],
         )
 
     @cached_property
@@ -566,7 +586,7 @@ def checked(run: Run) -> Checked:
 
 def detect(
     run: Run, scene: Scene | None = None, *, from_series: bool = False
-) -> list[CaptureStatus]:
+) -> Sequence[CaptureStatus]:
     """Evaluate a run with the capture detector; return its statuses, the final verdict last.
 
     Parameters

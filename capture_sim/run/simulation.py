@@ -2,34 +2,32 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from capture_sim.base.software import software_versions
-from capture_sim.detection.criteria import CaptureStatus
-from capture_sim.dynamics.bench import Bench
+from capture_sim.detection.exact import Statuses
 from capture_sim.dynamics.compilation import compile_kernels
-from capture_sim.dynamics.drive import drive
-from capture_sim.dynamics.memory import joined
 from capture_sim.dynamics.sample_times import check_times
-from capture_sim.dynamics.samples import SAMPLE, EventKind
-from capture_sim.errors import SceneError, SimulationError
+from capture_sim.dynamics.samples import EventKind
+from capture_sim.errors import SimulationError
+from capture_sim.run.integration import Integration, check_memory, kept
 from capture_sim.run.lazy import Deferred, LazyMapping
 from capture_sim.run.origin import Origin
-from capture_sim.run.run import Check, Run
+from capture_sim.run.run import Check, Integrated, Run
 from capture_sim.run.sensors import sensor_series
 from capture_sim.run.series import QUANTITIES, STATE, Series, SeriesBySource, series_in
 from capture_sim.scene.files import Overrides, has_overrides
 from capture_sim.scene.loading import change_scene, load_scene
 from capture_sim.scene.parts import RunSettings, Scene
+from capture_sim.scene.quantities import replaced
 
 
 class RunError(SimulationError):
@@ -66,8 +64,8 @@ def simulate(
         Longest duration of the run, s; None for ``scene.run.t_end``.
     t_eval
         (n,) sample times, s: finite, ascending, from 0 to ``t_end``; None for the grid of
-        ``scene.run.state_rate``.  There are no samples after the end of the run, which a latch
-        may bring forward.
+        ``scene.run.state_rate``, which a second integration samples when they are first read.
+        There are no samples after the end of the run, which a latch may bring forward.
     rtol
         Relative error tolerance; None for ``scene.run.rtol``.
     check
@@ -84,7 +82,8 @@ def simulate(
     Raises
     ------
     SceneError
-        A value is out of its range, or the samples need more than :data:`MAX_MEMORY`.
+        A value is out of its range, or the samples need more than
+        :data:`capture_sim.run.integration.MAX_MEMORY`.
     RunError
         The integration stopped early; the message names time, phase and cause, and ``result`` has
         the run up to then.  It is a SimulationError.
@@ -94,69 +93,58 @@ def simulate(
     elif has_overrides(overrides):
         scene = change_scene(scene, overrides)
     run = scene.run
-    if t_end is not None:
-        run = dataclasses.replace(run, t_end=t_end)
-    if rtol is not None:
-        run = dataclasses.replace(run, rtol=rtol)
-    if trace:
-        run = dataclasses.replace(run, trace=True)
-    scene = dataclasses.replace(scene, run=run)
-    bench = Bench(scene)
+    changes = {"t_end": t_end, "rtol": rtol, "trace": trace or None}
+    if changes := {name: value for name, value in changes.items() if value is not None}:
+        run = replaced(run, changes)
+        scene = _with_run(scene, run)
     times = None if t_eval is None else check_times(t_eval, t_end=run.t_end)
     check_memory(run, run.t_end * run.state_rate if times is None else times.size)
     compile_kernels()
-    start = time.perf_counter()
+    samples: np.ndarray | Deferred[np.ndarray]
+    judged: Deferred[_Judged] | _Judged
     if times is None:
-        times = bench.times(0, math.floor(run.t_end * run.state_rate) + 2)
-    pieces = list(drive(bench, times))
-    failure = pieces[-1].failure
-    samples = joined([piece.samples for piece in pieces])
-    # the detector evaluates the grid
-    statuses = None if t_eval is None else Deferred(partial(_grid_statuses, scene))
-    grid = Deferred(partial(_grid_samples, scene, samples if t_eval is None else None))
+        (memory,) = kept.memories(1)
+        integration = Integration(scene, memory)
+        start = time.perf_counter()
+        judged = _judged(integration)
+        end = judged.integrated.t_end
+        samples = grid = Deferred(partial(_grid_samples, scene, end))
+    else:
+        integration = Integration(scene)
+        start = time.perf_counter()
+        samples = integration.sample(times)
+        judged = Deferred(partial(_judged_again, scene))
+        grid = Deferred(partial(_grid_samples, scene, run.t_end))
+    wall_time = time.perf_counter() - start
+    bench = integration.bench
+    is_noisy = scene.sensors is not None and scene.sensors.motion_capture is not None
     result = Run(
         name=scene.name,
         origin=Origin(software=Deferred(software_versions)),
         given_scene=scene,
         state=samples,
-        series=_series_of(scene, samples, grid),
+        series=Deferred(partial(_series_of, scene, samples, grid)),
         located_touches=bench.touches,
         logged_events=tuple(bench.events),
-        reported_statuses=statuses,
+        # of a noisy bench, the detector's own
+        reported_statuses=None if is_noisy else _of_judged(judged, "statuses"),
         located_extremes=bench.extremes,
         trace=bench.trace,
         plan=bench.plan,
-        wall_time=time.perf_counter() - start,
+        wall_time=wall_time,
         statistics=bench.statistics,
-        failure="" if failure is None else str(failure),
+        failure=integration.failure,
+        integrated=_of_judged(judged, "integrated"),
     )
-    if failure is not None:
-        raise RunError(str(failure), failure.partial, result)
+    if result.failure:
+        raise RunError(result.failure, result.state, result)
     if not check:
         return result
     try:
-        finer = simulate(dataclasses.replace(scene, run=run.refined(100.0, 4.0)), t_eval=result.t)
+        finer = simulate(_with_run(scene, run.refined(100.0, 4.0)), t_eval=result.t)
     except RunError as error:
         finer = error.result
     return result.replaced(check=_compare(result, finer))
-
-
-#: Largest memory for the samples of one run, bytes.
-MAX_MEMORY = 4_000_000_000
-
-
-def check_memory(
-    run: RunSettings, count: float, rate: Literal["state_rate", "rate"] = "state_rate"
-) -> None:
-    """Raise SceneError if the samples at one of the run's rates would fill the memory."""
-    # in pieces as they are computed, then joined
-    needed = 2.0 * count * SAMPLE.itemsize
-    if needed > MAX_MEMORY:
-        raise SceneError(
-            f"run.t_end = {run.t_end:g} s at run.{rate} = {getattr(run, rate):g} Hz: {count:.3g} "
-            f"samples need {needed / 1e9:.3g} GB of memory: must be "
-            f"at most {MAX_MEMORY / 1e9:g} GB"
-        )
 
 
 def _compare(coarse: Run, fine: Run) -> Check:
@@ -179,15 +167,60 @@ def _touch_sequence(result: Run) -> list[tuple[str, int]]:
     ]
 
 
-def _on_grid(scene: Scene) -> Run:
-    """Run a scene again, sampled at ``run.state_rate``."""
-    try:
-        return simulate(scene)
-    except RunError as error:
-        return error.result
+class _Judged(NamedTuple):
+    """A run as its detector samples it, at ``run.rate``."""
+
+    statuses: Statuses
+    integrated: Integrated
 
 
-def _series_of(scene: Scene, samples: np.ndarray, grid: Deferred[np.ndarray]) -> SeriesBySource:
+def _judged(integration: Integration) -> _Judged:
+    statuses = integration.statuses()
+    return _Judged(statuses, Integrated(integration.t_end, integration.energy_residual))
+
+
+def _judged_again(scene: Scene) -> _Judged:
+    (memory,) = kept.memories(1)
+    return _judged(Integration(_untraced(scene), memory))
+
+
+def _of_judged(judged: _Judged | Deferred[_Judged], name: str) -> Any:
+    if isinstance(judged, _Judged):
+        return getattr(judged, name)
+    return Deferred(partial(_read_judged, judged, name))
+
+
+def _read_judged(judged: Deferred[_Judged], name: str) -> Any:
+    return getattr(judged.value, name)
+
+
+def _untraced(scene: Scene) -> Scene:
+    if not scene.run.trace:
+        return scene
+    return _with_run(scene, replaced(scene.run, {"trace": False}))
+
+
+def _with_run(scene: Scene, run: RunSettings) -> Scene:
+    changed: Scene = replaced(scene, {"run": run})
+    return changed
+
+
+def _grid(scene: Scene, end: float) -> np.ndarray:
+    """Return the sample times of a run that ends at ``end`` (s) or within a period of its rate."""
+    run = scene.run
+    count = math.floor((end + 1.0 / run.rate) * run.state_rate) + 2
+    times: np.ndarray = np.arange(count) / run.state_rate
+    return times[times <= run.t_end]
+
+
+def _grid_samples(scene: Scene, end: float) -> np.ndarray:
+    """Return the samples of a run at ``run.state_rate``; it ends as in :func:`_grid`."""
+    return Integration(_untraced(scene)).sample(_grid(scene, end))
+
+
+def _series_of(
+    scene: Scene, samples: np.ndarray | Deferred[np.ndarray], grid: Deferred[np.ndarray]
+) -> SeriesBySource:
     """Return the series of exact samples and of the scene's simulated sensors.
 
     The sensors read the samples of ``grid``, at ``run.state_rate``, when they are used.
@@ -197,7 +230,7 @@ def _series_of(scene: Scene, samples: np.ndarray, grid: Deferred[np.ndarray]) ->
     def add(quantity: str, source: str, make: Callable[[], Series]) -> None:
         series.setdefault(quantity, {})[source] = make
 
-    exact = Deferred(partial(series_in, samples))
+    exact = Deferred(partial(_series_in, samples))
     for quantity in QUANTITIES:
         add(quantity, STATE, partial(_of_quantity, exact, quantity))
     if scene.sensors is not None:
@@ -213,13 +246,8 @@ def _series_of(scene: Scene, samples: np.ndarray, grid: Deferred[np.ndarray]) ->
     return {quantity: LazyMapping(sources) for quantity, sources in series.items()}
 
 
-def _grid_statuses(scene: Scene) -> Sequence[CaptureStatus]:
-    return _on_grid(scene).statuses
-
-
-def _grid_samples(scene: Scene, samples: np.ndarray | None) -> np.ndarray:
-    """Return samples at ``run.state_rate``, or at the times of another run if it is given."""
-    return _on_grid(scene).state if samples is None else samples
+def _series_in(samples: np.ndarray | Deferred[np.ndarray]) -> dict[str, Series]:
+    return series_in(samples.value if isinstance(samples, Deferred) else samples)
 
 
 def _sensed(scene: Scene, grid: Deferred[np.ndarray]) -> dict[str, Series]:

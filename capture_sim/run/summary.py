@@ -14,40 +14,38 @@ import numpy as np
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.dynamics.samples import EXTREMES, TOUCH, Event, Extremes
 from capture_sim.run.first_contact import first_cluster, first_touch, impact_speed
-from capture_sim.run.loads import if_measured, loads_of, sampled_extremes
+from capture_sim.run.loads import if_measured, loads_of
 from capture_sim.run.series import at_rate
-from capture_sim.scene.parts import Scene
 
 
 def summarize(
     name: str,
-    scene: Scene,
-    samples: np.ndarray,
     touches: np.ndarray,
     events: Sequence[Event],
     status: CaptureStatus | None,
+    loads: Mapping[str, Any],
+    *,
+    loads_from: str,
+    energy_residual: float,
+    simulated: float,
     wall_time: float | None,
-    extremes: Extremes | None = None,
     problems: Sequence[str] = (),
     made_by: Mapping[str, Any] | None = None,
     doubts: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the main results of a run, SI units; None without contact, verdict or wall time.
 
-    The loads are those of :func:`loads_of`.  Without the bench's ``extremes`` they come from the
-    samples, and ``loads_from`` names the sample rate.  ``energy_residual`` is the largest residual
-    of the ledger at the samples of ``run.rate``, as in the tables of sweeps.  ``problems`` are the
-    reasons why the run or its recording is incomplete, which may change every result.  ``made_by``
-    is what made the run.  ``doubts`` are the series that are left out or doubted, a line each.
+    ``loads`` are those of :func:`loads_of`, and ``loads_from`` says what they come from.
+    ``energy_residual`` is the largest residual of the ledger at the samples of ``run.rate``, as in
+    the tables of sweeps, J, NaN if it was not measured; ``simulated`` is how far the run went, s.
+    ``problems`` are the reasons why the run or its recording is incomplete, which may change every
+    result.  ``made_by`` is what made the run.  ``doubts`` are the series that are left out or
+    doubted, a line each.
     """
-    sampled, rate = extremes is None, scene.run.rate
-    if extremes is None:
-        extremes = sampled_extremes(scene, samples, touches, events)
     first = first_cluster(touches)
     has_contact = first.size > 0
     touch, speed = first_touch(events), impact_speed(events)
     is_unmeasured = touch is not None and speed is not None and math.isnan(speed)
-    simulated = float(samples["t"][-1]) if samples.size else 0.0
     return {
         "name": name,
         "verdict": None if status is None else status.state.label,
@@ -64,25 +62,27 @@ def summarize(
         "first_contact_touches": int(first.size),
         "first_contact_peak_force": if_measured(first["peak_force"].max()) if has_contact else None,
         "normal_impulse": if_measured(touches["impulse"].sum()),
-        **loads_of(extremes, touches),
-        "loads_from": f"samples at {_sample_rate(samples):.4g} Hz" if sampled else "integration",
-        "energy_residual": _largest(samples["energy_residual"][at_rate(samples["t"], rate)]),
+        **loads,
+        "loads_from": loads_from,
+        "energy_residual": if_measured(energy_residual),
         "wall_time": wall_time,
         "real_time_factor": simulated / wall_time if wall_time else None,
         "made_by": dict(made_by or {}),
     }
 
 
-def _sample_rate(samples: np.ndarray) -> float:
+def sample_rate(samples: np.ndarray) -> float:
     """Return the sample rate of a run, Hz, from its median interval; 0 if unknown."""
     interval = float(np.median(np.diff(samples["t"]))) if samples.size > 1 else 0.0
     return 1.0 / interval if interval > 0.0 else 0.0
 
 
-def _largest(values: np.ndarray) -> float | None:
-    """Return the largest magnitude; None if it was not measured."""
-    largest = float(np.abs(values).max(initial=0.0))
-    return if_measured(largest)
+def end_and_residual(samples: np.ndarray, rate: float) -> tuple[float, float]:
+    """Return the last time of samples, s, and the largest energy residual at a rate, Hz, J."""
+    if not samples.size:
+        return 0.0, 0.0
+    residual = samples["energy_residual"][at_rate(samples["t"], rate)]
+    return float(samples["t"][-1]), float(np.abs(residual).max(initial=0.0))
 
 
 #: Key of a row of ``results.json``: file of the recording beside it; null without one.

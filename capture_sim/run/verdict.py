@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.detection.criteria import CaptureState, CaptureStatus, Cause, Criteria, reason
-from capture_sim.detection.exact import ExactDetector
+from capture_sim.detection.exact import ExactDetector, Statuses
 from capture_sim.detection.measurements import REORDER, Source, Values
 from capture_sim.run.series import STATE, SeriesBySource, at_rate
 from capture_sim.scene.parts import Detector, Scene
@@ -49,14 +49,13 @@ def as_cut(status: CaptureStatus, scene: Scene) -> CaptureStatus:
 
 def detect_state(
     state: np.ndarray, scene: Scene, *, is_cut: bool, has_end: bool = True
-) -> list[CaptureStatus]:
+) -> Statuses:
     """Evaluate exact samples, (n,) of dtype SAMPLE, at the scene's ``run.rate``.
 
     Return the statuses; the last one has the verdict.
     """
-    detector = ExactDetector(scene)
     due = state[at_rate(state["t"], scene.run.rate)]
-    return [*detector.update(due), detector.finish(cut=is_cut, has_end=has_end)]
+    return ExactDetector(scene).statuses(due, cut=is_cut, has_end=has_end)
 
 
 class Received(NamedTuple):

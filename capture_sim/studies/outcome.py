@@ -8,27 +8,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from capture_sim.detection.criteria import CaptureState
-from capture_sim.detection.exact import ExactDetector
 from capture_sim.dynamics.bench import Bench
 from capture_sim.dynamics.drive import drive
-from capture_sim.dynamics.memory import Memory
-from capture_sim.dynamics.sample_times import to_the_end
 from capture_sim.dynamics.samples import EventKind
 from capture_sim.errors import SimulationError
 from capture_sim.run.first_contact import first_cluster, first_contact_end
+from capture_sim.run.integration import Integration
 from capture_sim.run.loads import loads_of
-from capture_sim.run.simulation import check_memory
 from capture_sim.scene.parts import Scene
-
-#: Measurements of the detector per call into the engine: more would run on too far after a
-#: verdict, fewer cost calls.
-_BLOCK = 20
 
 _RATE = 2000.0  # Hz, of the samples of a first contact: the buffer's force
 _CONTACT_BLOCK = 200  # samples per call into the engine
@@ -62,79 +54,33 @@ def run_to_verdict(scene: Scene) -> Outcome:
     ``run.rate`` is the detector's.  Loads are those up to the end of the last piece that was run:
     at most 20 measurements of the detector later than the verdict.
     """
-    run = StudyRun(scene)
+    run = Integration(scene)
     run.integrate_to_verdict()
-    return run.outcome()
+    return outcome_of(run)
 
 
 def run_to_end(scene: Scene) -> Outcome:
     """Run a scene to its end, with the verdict of :func:`run_to_verdict`."""
-    run = StudyRun(scene)
+    run = Integration(scene)
     run.integrate()
-    return run.outcome()
+    return outcome_of(run)
 
 
-class StudyRun:
-    """A run that is prepared, integrated and evaluated in three steps.
-
-    A study of many runs takes each step for several of them in a row: a kernel displaces Python's
-    code from the processor's caches, after which it is three times as slow.  ``memory`` is as for
-    :class:`capture_sim.dynamics.bench.Bench`.  Raises SceneError if the scene breaks a rule.
-    """
-
-    def __init__(self, scene: Scene, memory: Memory | None = None) -> None:
-        check_memory(scene.run, scene.run.t_end * scene.run.rate, "rate")
-        self._bench, self._detector = Bench(scene, memory=memory), ExactDetector(scene)
-        self._times = _measured_at(scene.run.t_end, scene.run.rate)
-        self._energy_residual, self._failure = 0.0, ""
-
-    def integrate(self) -> None:
-        """Run to the end."""
-        try:
-            samples = self._bench.finish(self._times)
-        except SimulationError as error:
-            samples, self._failure = error.partial, str(error)
-        self._detector.to_end(samples)
-        self._note_residual(samples)
-
-    def integrate_to_verdict(self) -> None:
-        """Run to the verdict, or to the end."""
-        for piece in drive(self._bench, self._times[:-1], block=_BLOCK):
-            self._note_residual(piece.samples)
-            self._failure = str(piece.failure or "")
-            self._detector.until_verdict(piece.samples)
-            if self._detector.final:
-                return
-
-    def _note_residual(self, samples: np.ndarray) -> None:
-        residual = np.abs(samples["energy_residual"])
-        self._energy_residual = float(residual.max(initial=self._energy_residual))
-
-    def outcome(self) -> Outcome:
-        """Return the verdict and the loads up to the last integrated step."""
-        bench = self._bench
-        status = self._detector.finish(cut=bool(self._failure))
-        first_touches = bench.times_of(EventKind.TOUCH)[:1]
-        return Outcome(
-            verdict=status.state.label,
-            t=self._detector.since,
-            reason=self._failure or status.reason,
-            left_again=status.left_again,
-            first_touch=float(first_touches[0]) if first_touches.size else math.nan,
-            loads=loads_of(bench.extremes, bench.touches),
-            energy_residual=self._energy_residual,
-            failure=self._failure,
-        )
-
-
-@lru_cache(maxsize=4)
-def _measured_at(t_end: float, rate: float) -> np.ndarray:
-    """Return the times of the detector's measurements, s, and that of :func:`to_the_end`.
-
-    Most runs of a study share them.
-    """
-    times: np.ndarray = np.arange(math.floor(t_end * rate) + 2) / rate
-    return to_the_end(times[times <= t_end])
+def outcome_of(run: Integration) -> Outcome:
+    """Return the verdict and the loads of an integrated run, up to its last step."""
+    bench = run.bench
+    status = run.finish()
+    first_touches = bench.times_of(EventKind.TOUCH)[:1]
+    return Outcome(
+        verdict=status.state.label,
+        t=run.since,
+        reason=run.failure or status.reason,
+        left_again=status.left_again,
+        first_touch=float(first_touches[0]) if first_touches.size else math.nan,
+        loads=loads_of(bench.extremes, bench.touches),
+        energy_residual=run.energy_residual,
+        failure=run.failure,
+    )
 
 
 @dataclass(frozen=True)

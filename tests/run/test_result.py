@@ -125,17 +125,21 @@ def test_the_verdict_is_one_text_everywhere():
 def test_a_verdict_not_asked_for_costs_nothing(monkeypatch):
     """Samples of one's own are computed alone; the detector's are when the verdict is wanted."""
     counts = []
-    advance = capture_sim.Bench.advance
+    finish = capture_sim.Bench.finish
 
     def counted(bench, times):
-        samples = advance(bench, times)
+        samples = finish(bench, times)
         counts.append(len(samples))
         return samples
 
-    monkeypatch.setattr(capture_sim.Bench, "advance", counted)
+    monkeypatch.setattr(capture_sim.Bench, "finish", counted)
     own = simulate("tilt_0", t_eval=[0.0, 2.8, 3.0])
     assert sum(counts) == 3
+    assert own.loads["touches"] == len(own.touches)
+    assert sum(counts) == 3
     whole = simulate("tilt_0")
+    assert sum(counts) == 3 + len(whole.statuses) - 1  # those of the detector alone
+    assert whole.samples.size == sum(counts) - 3 - len(whole.statuses) + 1
     assert own.verdict == whole.verdict
     assert own.loads == whole.loads
     assert own.statuses == whole.statuses

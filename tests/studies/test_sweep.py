@@ -62,7 +62,7 @@ def scenes_run(monkeypatch):
         scenes.append(scene)
         raise SceneError("not run")
 
-    monkeypatch.setattr(module, "StudyRun", note)
+    monkeypatch.setattr(module, "Integration", note)
     return scenes
 
 
