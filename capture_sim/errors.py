@@ -61,8 +61,10 @@ _ROS_PACKAGES = ("ament_index_python", "rcl_interfaces", "rclpy", "rosidl_runtim
 
 
 def explain_import_error(error: ImportError) -> str:
-    """Return one line that names the missing package and how to install it."""
+    """Return one line that names the missing package and how to install it, or what failed."""
     package = (error.name or "").partition(".")[0]
+    if not isinstance(error, ModuleNotFoundError):
+        return f"{package or 'a package'}: its import fails: {one_line(str(error))}"
     if (error.name or "").startswith(("capture_sim.msg", "capture_sim.srv", "capture_sim.action")):
         return (
             "the ROS messages are not compiled: run 'make setup' in a clone of capture_sim, "
@@ -77,6 +79,20 @@ def explain_import_error(error: ImportError) -> str:
         if package in packages:
             return f"{package} is not installed: {install_hint(extra)}"
     return one_line(str(error))
+
+
+def import_failure(needs: str, error: ImportError, extra: str) -> str:
+    """Return one line on a package of an extra that cannot be imported.
+
+    ``needs`` says what needs it, e.g. ``"Parquet needs pyarrow"``.  A missing package is to be
+    installed; one that fails, often for a version of another package, is not missing.
+    """
+    if isinstance(error, ModuleNotFoundError):
+        return f"{needs}: {install_hint(extra)}"
+    return (
+        f"{needs}, whose import fails: {one_line(str(error))}; "
+        "versions that work together are in requirements/"
+    )
 
 
 def install_hint(extra: str) -> str:

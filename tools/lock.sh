@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Compiles the two lock files from pyproject.toml; run by `make lock`.
+# Compiles the two lock files from pyproject.toml, and tries each; run by `make lock`.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 compile=(.venv/bin/uv pip compile -q --no-annotate --no-header --no-emit-index-url)
@@ -16,7 +16,16 @@ mv requirements/lock.new requirements/lock.txt
   echo "# For a virtual environment on an apt Jazzy (Ubuntu 24.04), whose NumPy and SciPy these are: its"
   echo "# messages are compiled against NumPy 1.26, which NumPy 2 would break. No rerun, which requires"
   echo "# NumPy 2. Made by make lock."
-  printf 'numpy==1.26.4\nscipy==1.11.4\n' |
+  # pyarrow 26 refuses NumPy 1.26 when it is imported; nothing in its metadata says so
+  printf 'numpy==1.26.4\nscipy==1.11.4\npyarrow<26\n' |
     "${compile[@]}" --python-version 3.11.7 --extra study -c - pyproject.toml
 } >requirements/workstation.new
 mv requirements/workstation.new requirements/workstation.txt
+
+# What a resolver accepts may still not work together.
+for name in workstation lock; do
+  rm -rf "build/try_$name"
+  .venv/bin/uv venv -q --python .venv/bin/python "build/try_$name"
+  .venv/bin/uv pip install -q --python "build/try_$name/bin/python" -r "requirements/$name.txt"
+  "build/try_$name/bin/python" tools/try_packages.py "requirements/$name.txt"
+done

@@ -38,7 +38,7 @@ def check_ros() -> None:
     """Raise MissingPackageError if ROS 2 or the compiled messages are not installed."""
     for package in ("rclpy", "capture_sim.msg"):
         if find_spec(package) is None:
-            raise MissingPackageError(explain_import_error(ImportError(name=package)))
+            raise MissingPackageError(explain_import_error(ModuleNotFoundError(name=package)))
 
 
 class SuiteResult(NamedTuple):

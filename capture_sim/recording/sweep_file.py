@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from capture_sim.base.files import whole_file
 from capture_sim.base.software import software_versions
-from capture_sim.errors import RecordingError, install_hint
+from capture_sim.errors import RecordingError, import_failure
 from capture_sim.run.origin import scene_origin
 from capture_sim.scene.loading import load_scene_text
 
@@ -116,16 +116,16 @@ def _number(cell: Any) -> Any:
 def _pandas() -> Any:
     try:
         import pandas
-    except ImportError:
-        raise RecordingError(f"sweep needs pandas: {install_hint('study')}") from None
+    except ImportError as error:
+        raise RecordingError(import_failure("sweep needs pandas", error, "study")) from None
     return pandas
 
 
 def arrow() -> tuple[Any, Any]:
-    """Return pyarrow and its module for Parquet; RecordingError if it is not installed."""
+    """Return pyarrow and its module for Parquet; RecordingError if it cannot be imported."""
     try:
         import pyarrow
         import pyarrow.parquet
-    except ImportError:
-        raise RecordingError(f"Parquet needs pyarrow: {install_hint('study')}") from None
+    except ImportError as error:
+        raise RecordingError(import_failure("Parquet needs pyarrow", error, "study")) from None
     return pyarrow, pyarrow.parquet

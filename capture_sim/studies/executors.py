@@ -24,7 +24,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from capture_sim.dynamics.compilation import compile_kernels
-from capture_sim.errors import CaptureSimError, install_hint
+from capture_sim.errors import CaptureSimError, import_failure
 
 
 class ExecutorError(CaptureSimError):
@@ -131,10 +131,9 @@ def _dask_client(address: str) -> Any:
         raise ExecutorError(f"--scheduler {address}: must be an address like tcp://127.0.0.1:8786")
     try:
         from distributed import Client
-    except ImportError:
-        raise ExecutorError(
-            f"--scheduler: Dask is not installed; {install_hint('cluster')}"
-        ) from None
+    except ImportError as error:
+        text = import_failure("--scheduler needs Dask", error, "cluster")
+        raise ExecutorError(text) from None
     try:
         client = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError) as error:

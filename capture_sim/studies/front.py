@@ -11,15 +11,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from capture_sim.errors import MissingPackageError, install_hint
+from capture_sim.errors import MissingPackageError, import_failure
 
 
 def require_pymoo() -> None:
     """Raise MissingPackageError if pymoo is not installed."""
     try:
         import pymoo  # noqa: F401
-    except ImportError:
-        raise MissingPackageError(f"design needs pymoo: {install_hint('study')}") from None
+    except ImportError as error:
+        text = import_failure("design needs pymoo", error, "study")
+        raise MissingPackageError(text) from None
 
 
 def layers(points: np.ndarray) -> list[np.ndarray]:

@@ -178,7 +178,7 @@ def problem_of(axes: int) -> dict[str, Any]:
     """Return SALib's description of so many independent shares from 0 to 1."""
     return {
         "num_vars": axes,
-        "names": [str(k) for k in range(axes)],
+        "names": np.array([str(k) for k in range(axes)]),  # pandas 3 refuses a list of SALib 1.5
         "bounds": [[0.0, 1.0]] * axes,
     }
 

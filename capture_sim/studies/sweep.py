@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import threading
 import time
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -22,8 +21,9 @@ import numpy as np
 
 from capture_sim.base.journal import Journal
 from capture_sim.dynamics.memory import Memory
-from capture_sim.dynamics.samples import EXTREMES, SAMPLE, TOUCH, Extremes
-from capture_sim.errors import MissingPackageError, SceneError, install_hint
+from capture_sim.dynamics.samples import EXTREMES, TOUCH, Extremes
+from capture_sim.errors import MissingPackageError, SceneError, import_failure
+from capture_sim.run.integration import Integration, kept
 from capture_sim.run.loads import LOADS, loads_of
 from capture_sim.scene import paths
 from capture_sim.scene.approach import APPROACH, Approach, approach_of, placed, with_approach
@@ -33,7 +33,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.studies.axes import Axis, declaration_of, make_axis
 from capture_sim.studies.executors import answers, open_executor
 from capture_sim.studies.limits import Limit, exceeded, make_limits
-from capture_sim.studies.outcome import Outcome, StudyRun
+from capture_sim.studies.outcome import Outcome, outcome_of
 from capture_sim.studies.sampling import PLAIN, Correlations, Samples, make_samples
 
 if TYPE_CHECKING:
@@ -306,8 +306,9 @@ def run_samples(
     """
     try:
         import pandas
-    except ImportError:
-        raise MissingPackageError(f"sweep() needs pandas: {install_hint('study')}") from None
+    except ImportError as error:
+        text = import_failure("sweep() needs pandas", error, "study")
+        raise MissingPackageError(text) from None
     names = tuple(axis.name for axis in samples.axes)
     rows, count, invalid = samples.rows, len(samples.rows), samples.failures
     recipe = Recipe(scene, names)
@@ -434,7 +435,7 @@ def run_rows(
 ) -> list[tuple[Any, ...]]:
     """Return the results of some runs, each in the order of :func:`result_columns`."""
     columns = result_columns(check=check, limited=bool(limits))
-    memories = iter(_kept.memories(2 * len(rows) if check else len(rows)))
+    memories = iter(kept.memories(2 * len(rows) if check else len(rows)))
     prepared = [_prepared(recipe, row, memories, check=check) for row in rows]
     for runs in prepared:
         if not isinstance(runs, SceneError):
@@ -444,48 +445,24 @@ def run_rows(
     return [tuple([of_row.get(name, math.nan) for name in columns]) for of_row in results]
 
 
-#: Samples that the runs of a sweep have room for; those of longer runs take new memory.
-_ROOM = 4096
-
-
-class _Kept(threading.local):
-    """Memory of the runs of a call, kept for the next one; a cluster's threads have each their own.
-
-    All runs of a call share the room for samples.
-    """
-
-    def __init__(self) -> None:
-        self._samples = np.empty(_ROOM, SAMPLE)
-        self._memories: list[Memory] = []
-
-    def memories(self, count: int) -> list[Memory]:
-        """Return the memories of so many runs."""
-        missing = count - len(self._memories)
-        self._memories += [Memory(self._samples) for _ in range(missing)]
-        return self._memories[:count]
-
-
-_kept = _Kept()
-
-
 def _prepared(
     recipe: Recipe, row: tuple[Any, ...], memories: Iterator[Memory], *, check: bool
-) -> tuple[StudyRun, ...] | SceneError:
+) -> tuple[Integration, ...] | SceneError:
     """Return a row's run, with ``check`` also that at half the tolerance, or why it has none."""
     try:
         scene = recipe.scene_of(row)
         scenes = (scene, _at_half_tolerance(scene)) if check else (scene,)
-        return tuple(StudyRun(scene, next(memories)) for scene in scenes)
+        return tuple(Integration(scene, next(memories)) for scene in scenes)
     except SceneError as error:
         return error
 
 
-def _results(runs: tuple[StudyRun, ...] | SceneError, limits: Sequence[Limit]) -> dict[str, Any]:
+def _results(runs: tuple[Integration, ...] | SceneError, limits: Sequence[Limit]) -> dict[str, Any]:
     """Return the results of a row by the names of their columns."""
     if isinstance(runs, SceneError):
         results: dict[str, Any] = dict.fromkeys(("verdict", "verdict_at_half_tolerance"), FAILED)
         return {**results, "left_again": False, "touches": 0, "exceeded": "", "failure": str(runs)}
-    outcome, *finer = (run.outcome() for run in runs)
+    outcome, *finer = map(outcome_of, runs)
     loads = {name: math.nan if x is None else x for name, x in outcome.loads.items()}
     return {
         "verdict": _verdict(outcome),
