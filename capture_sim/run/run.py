@@ -403,7 +403,7 @@ class Run:
         if not reported:
             is_refused = any(doubt.grade is Grade.REFUSED for doubt in self.doubts)
             return () if is_refused else detect(self)
-        if self.given_scene is None:
+        if self.given_scene is None or self.__dict__["integrated"] is not None:
             return reported
         last = as_cut(reported[-1], self.given_scene)
         return reported if last is reported[-1] else [*reported[:-1], last]
