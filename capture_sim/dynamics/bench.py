@@ -14,7 +14,7 @@ import numpy as np
 
 from capture_sim.base.compiled.kernels import records
 from capture_sim.dynamics.engine import loop
-from capture_sim.dynamics.engine.state import N_WATCHED, Status
+from capture_sim.dynamics.engine.state import EVENT, N_WATCHED, Segment, Status
 from capture_sim.dynamics.event_text import AT_WALL, event_text
 from capture_sim.dynamics.memory import STATE_BYTES, Memory, first_state, joined
 from capture_sim.dynamics.model.contact import FRICTION_LAWS, power_law
@@ -32,10 +32,11 @@ from capture_sim.dynamics.samples import (
     Extremes,
     Phase,
 )
-from capture_sim.errors import SimulationError
+from capture_sim.errors import SceneError, SimulationError
 from capture_sim.scene.launch_plan import LaunchPlan
 from capture_sim.scene.loading import check_scene
 from capture_sim.scene.parts import Scene
+from capture_sim.scene.quantities import refuse, shown
 
 _TRACE_ROOM = 1024
 
@@ -139,16 +140,16 @@ class Bench:
         """Write what holds the bench at the release; ``par`` is of dtype PARAMETERS."""
         scene, rail, mode = self.scene, self._record["rail"], self._system["mode"]
         chaser, target = scene.initial.chaser, scene.initial.target
-        self._record["progress"]["t_stop"] = scene.run.t_end
-        mode["held"] = hold_at_rest(par)
+        progress = self._record["progress"]
+        progress["t_stop"] = progress["t_end"] = scene.run.t_end
+        mode["held"], mode["thrusting"] = hold_at_rest(par), scene.thrusters is not None
         if scene.rail is not None:
             rail["on"], rail["taut"] = 1, scene.string is not None
             rail["speed"] = math.hypot(chaser.vx, chaser.vy)
         if scene.supports is not None:
-            if not (target.vx or target.vy or target.omega):
-                mode["rest_T"] = par["balls_T"][2].any()
-            if scene.rail is None and not (chaser.vx or chaser.vy or chaser.omega):
-                mode["rest_S"] = par["balls_S"][2].any()
+            mode["rest_T"] = par["balls_T"][2].any() and not target.moves
+            is_free = scene.rail is None
+            mode["rest_S"] = is_free and par["balls_S"][2].any() and not chaser.moves
 
     def initial_workspace(self) -> np.ndarray:
         """Return a copy of the engine's record, (1,) of dtype WORKSPACE.
@@ -293,8 +294,10 @@ class Bench:
 
         Call this before the first :meth:`advance`.
         """
-        par, rail = self._system["par"], self._record["rail"]
+        par, rail, mode = self._system["par"], self._record["rail"], self._system["mode"]
         self._record["stepper"]["y"][:16] = *q, *v
+        mode["rest_S"] = par["balls_S"][2].any() and not np.any(v[:3])
+        mode["rest_T"] = par["balls_T"][2].any() and not np.any(v[5:])
         par["m_hanging"] = par["drop_height"] = 0.0
         rail["on"] = rail["taut"] = 0
         rail["speed"] = 0.0
@@ -309,6 +312,93 @@ class Bench:
         mode["driven"], mode["wrench"] = 1, wrench
         step["equations_changed"] = 1
         self._record["progress"]["t_stop"] = until
+
+    def thrust(
+        self,
+        chaser: Sequence[float],
+        target: Sequence[float],
+        until: float,
+        *,
+        timeouts: Sequence[float] = (0.0, 0.0),
+    ) -> None:
+        """Hold a wrench on each vehicle, and pause the run at a time (s).
+
+        ``chaser`` and ``target``: force (N, N) and moment (N m) in the vehicle's own axes, at its
+        centre of mass.  ``advance`` goes up to the pause at most; then call this method again.
+        ``timeouts`` (s), for the events of a wrench that has ended for want of a command.
+
+        Raises
+        ------
+        SceneError
+            A number is not finite, the chaser is on its rail, the run is neither at its release
+            nor at a pause, or the time has passed.
+        """
+        mode, step = self._system["mode"], self._record["step"]
+        wrench = np.array([*chaser, *target], dtype=float)
+        if wrench.shape != (6,) or not np.isfinite(wrench).all():
+            said = [shown(value) for value in (*chaser, *target)]
+            allowed = "three finite numbers each, N, N and N m, of chaser and target"
+            raise SceneError(f"thrust = {', '.join(said)}: must be {allowed}")
+        if self.is_on_rail:
+            raise SceneError("thrust: must begin where the chaser has left its rail")
+        if step["segment"] != Segment.NONE:
+            raise SceneError("thrust: must begin at the release, or at a pause")
+        if not until > step["t0"]:
+            raise refuse("until", until, "s", f"> {step['t0']:.9g}, the present time")
+        self._log_thrust(wrench, timeouts)
+        if not np.array_equal(mode["thrust"], wrench) or not mode["thrusting"]:
+            mode["thrusting"], mode["thrust"] = 1, wrench
+            step["equations_changed"] = 1
+            self._scale_errors(wrench)
+        self.pause_at(until)
+
+    def pause_at(self, t: float) -> None:
+        """Pause the run at a time (s), or at its end if that is earlier."""
+        progress = self._record["progress"]
+        progress["t_stop"] = min(t, progress["t_end"])
+
+    @property
+    def is_on_rail(self) -> bool:
+        """True while the chaser is on its rail, where nothing else may push it."""
+        return bool(self._record["rail"]["on"])
+
+    @property
+    def t(self) -> float:
+        """Time up to which the run has been integrated, s; a pause is such a time."""
+        return float(self._record["step"]["t0"])
+
+    def _log_thrust(self, wrench: np.ndarray, timeouts: Sequence[float]) -> None:
+        """Log an event for each vehicle whose thrust begins or ends."""
+        before, y = self._system["mode"]["thrust"], self._record["stepper"]["y"]
+        for vehicle, timeout in enumerate(timeouts):
+            own = slice(3 * vehicle, 3 * vehicle + 3)
+            is_on = wrench[own].any()
+            if is_on == before[own].any():
+                continue
+            event = np.zeros(1, EVENT)
+            event["kind"] = EventKind.THRUST_ON if is_on else EventKind.THRUST_OFF
+            event["t"], event["which"], event["value"] = self.t, vehicle + 1, timeout
+            event["q"], event["v"] = y[:8], y[8:16]
+            self._unread.append(event)
+
+    def _scale_errors(self, wrench: np.ndarray) -> None:
+        """Let vehicles that start from rest have errors of the speed that this thrust gives them.
+
+        It is the speed after a path of the tip's radius.
+        """
+        par = self._system["par"]
+        arm, at_target = par["a"] + par["h_0"], par["L_T"] + par["R_c"]
+        push = max(
+            math.hypot(wrench[0], wrench[1]) / par["m_total"],
+            math.hypot(wrench[3], wrench[4]) * par["inverse_m_T"],
+            abs(wrench[2]) / par["I_S"] * arm,
+            abs(wrench[5]) * par["inverse_I_T"] * at_target,
+        )
+        speed = math.sqrt(2.0 * push * par["R_t"])
+        if speed > par["speed_scale"]:
+            par["speed_scale"] = speed
+            weights = self._record["stepper"]["weights"]
+            weights[...] = np.minimum(weights, 1.0 / error_scale(par))
 
     def set_contact(
         self, stiffness: float, exponent: float, chi: float, offset: float, mu: float, v_eps: float

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.memory import joined
 from capture_sim.dynamics.samples import (
     Event,
 )
-from capture_sim.errors import SimulationError
+from capture_sim.dynamics.thrust import Actuation, Commands
+from capture_sim.errors import SceneError, SimulationError
+from capture_sim.scene.quantities import refuse
 
 #: Samples of one call into the engine; the overhead of a call is negligible.
 BLOCK = 4096
@@ -33,8 +37,92 @@ class Block:
         return self._bench.events[self._events]
 
 
+@dataclass(frozen=True)
+class Control:
+    """A controller of the thrusters.
+
+    Attributes
+    ----------
+    command
+        Called at each of its instants with the sample there, of dtype SAMPLE; returns force (N, N)
+        and moment (N m) for the chaser and for the target, or None for no new command.
+    rate
+        Its rate, Hz: ``run.state_rate`` divided by a whole number; None for ``run.rate``.
+
+    Examples
+    --------
+    >>> from capture_sim.dynamics.drive import Control
+    >>> brake = Control(lambda sample: ((-5.0 * sample["v"][0], 0.0, 0.0), None), rate=10.0)
+    """
+
+    command: Callable[[np.void], Commands]
+    rate: float | None = None
+
+
+class _Controlled:
+    """A bench whose thrusters a controller commands at its instants."""
+
+    def __init__(self, bench: Bench, control: Control) -> None:
+        scene = bench.scene
+        if scene.thrusters is None:
+            raise SceneError("thrusters: must be in the scene for a controller")
+        rate = scene.run.rate if control.rate is None else control.rate
+        ratio = scene.run.state_rate / rate if rate > 0.0 else math.nan
+        if not (ratio >= 1.0 and abs(ratio - round(ratio)) <= 1e-9 * ratio):
+            allowed = f"run.state_rate ({scene.run.state_rate:g} Hz) divided by a whole number"
+            raise refuse("rate of the controller", rate, "Hz", allowed)
+        self._bench, self._command = bench, control.command
+        self._every = round(ratio)
+        self._actuation = Actuation(scene.thrusters)
+        self._last: np.void | None = None
+        self._count = 0  # samples so far
+
+    def size(self, first: int) -> int:
+        """Return the number of samples from ``first`` up to the next instant, inclusive."""
+        return 1 if first == 0 else self._every
+
+    def advance(self, times: np.ndarray) -> np.ndarray:
+        """Continue the run with the commands of the last sample; return samples, as a bench."""
+        bench, actuation = self._bench, self._actuation
+        if self._last is not None and (self._count - 1) % self._every == 0:
+            actuation.command(float(self._last["t"]), self._command(self._last))
+        end = float(times[-1]) if times.size else math.inf
+        if bench.is_on_rail or self._last is None:
+            bench.pause_at(end)
+            samples = bench.advance(times)
+        else:
+            parts: list[np.ndarray] = []
+            try:
+                while not bench.done and bench.t < end:
+                    parts.append(self._up_to(end, times))
+            except SimulationError as error:
+                partial = joined([*parts, error.partial])
+                raise SimulationError(str(error), partial) from None
+            samples = joined(parts) if parts else bench.advance(times)
+        if samples.size:
+            self._last, self._count = samples[-1].copy(), self._count + samples.size
+        return samples
+
+    def _up_to(self, end: float, times: np.ndarray) -> np.ndarray:
+        """Run with the wrenches of now to their next change, or to a time (s)."""
+        bench, actuation = self._bench, self._actuation
+        begin = bench.t
+        actuation.go_to(begin)
+        until = min(actuation.next_change(), end)
+        bench.thrust(*actuation.applied, until, timeouts=actuation.timeouts)
+        chosen = times[(times > begin) & (times <= until)]
+        samples = bench.advance(chosen).copy()
+        if chosen.size and chosen[-1] < until and not bench.done:
+            bench.advance(times[:0])
+        return samples
+
+
 def drive(
-    bench: Bench, times: np.ndarray | None = None, *, block: int | Callable[[], int] = BLOCK
+    bench: Bench,
+    times: np.ndarray | None = None,
+    *,
+    block: int | Callable[[], int] = BLOCK,
+    control: Control | None = None,
 ) -> Iterator[Block]:
     """Run a bench to its end piece by piece.
 
@@ -46,6 +134,9 @@ def drive(
         (n,) ascending sample times, s; None for the grid of ``scene.run.state_rate``.
     block
         Number of samples of a piece, or a function that returns it before each piece.
+    control
+        Controller of the scene's thrusters, called with the sample of its instant before the piece
+        that follows; pieces end at its instants, and ``times`` is the grid.
 
     Yields
     ------
@@ -63,14 +154,17 @@ def drive(
     ...         break
     """
     n_samples = n_events = n_trace = 0
+    controlled = None if control is None else _Controlled(bench, control)
     while not bench.done:
         size = block if isinstance(block, int) else block()
+        if controlled is not None:
+            size = controlled.size(n_samples)
         piece_times = (
             bench.times(n_samples, size) if times is None else times[n_samples : n_samples + size]
         )
         failure = None
         try:
-            samples = bench.advance(piece_times)
+            samples = (bench if controlled is None else controlled).advance(piece_times)
         except SimulationError as error:
             samples, failure = error.partial, error
         n_samples += size

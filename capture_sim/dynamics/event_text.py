@@ -9,6 +9,7 @@ from capture_sim.dynamics.samples import (
 )
 
 AT_WALL = (EventKind.TOUCH, EventKind.LIFT_OFF, EventKind.STICK, EventKind.SLIP)
+_OF_VEHICLE = (*(EventKind.AT_REST, EventKind.MOVING, EventKind.THRUST_ON, EventKind.THRUST_OFF),)
 
 
 def event_text(kind: EventKind, which: int, value: float) -> str:
@@ -23,8 +24,10 @@ def event_text(kind: EventKind, which: int, value: float) -> str:
         return f"{wall} at {value:.6g} m/s"
     if kind is EventKind.LIFT_OFF:
         return f"{wall} after a peak of {value:.6g} N"
-    if kind in (EventKind.AT_REST, EventKind.MOVING):
-        return "chaser" if which == 1 else "target"
+    if kind in _OF_VEHICLE:
+        vehicle = "chaser" if which == 1 else "target"
+        is_late = kind is EventKind.THRUST_OFF and value > 0.0
+        return f"{vehicle}, no command for {value:g} s" if is_late else vehicle
     if kind in (EventKind.STOP_HIT, EventKind.STOP_LEFT):
         return f"{stop} at {value:.6g} m/s"
     if kind is EventKind.SEATED:

@@ -54,6 +54,8 @@ class EventKind(Named):
     SLIP = 12
     SEATED = 13
     UNSEATED = 14
+    THRUST_ON = 15
+    THRUST_OFF = 16
 
 
 #: Order of ``q`` and ``v``.
@@ -68,6 +70,7 @@ ENERGIES = (
     "elastic_latch",
     "elastic_stop",
     "work_string",
+    "work_thrust",
     "dissipated_axial",
     "dissipated_torsion",
     "dissipated_contact",
@@ -105,6 +108,7 @@ SAMPLE = np.dtype(
         ("contact_torque", "f8"),
         ("latch_force", "f8", (2,)),
         ("impulse", "f8", (2,)),
+        ("thrust", "f8", (6,)),
         ("string_tension", "f8"),
         ("mass_height", "f8"),
         ("mass_speed", "f8"),
@@ -113,7 +117,11 @@ SAMPLE = np.dtype(
 )
 
 #: Names of the numbers of a field, by their count.
-_MEMBERS = {8: COORDINATES, 2: ("+y", "-y")}
+_MEMBERS = {
+    8: COORDINATES,
+    2: ("+y", "-y"),
+    6: tuple(f"{vehicle}_{axis}" for vehicle in ("chaser", "target") for axis in "xyz"),
+}
 _PLANAR = ("contact_force", "latch_force")
 
 
@@ -189,6 +197,8 @@ def unit_of_column(column: str) -> str:
     if field in ("q", "v"):
         unit = "rad" if member.startswith("theta") else "m"
         return unit if field == "q" else f"{unit}/s"
+    if field == "thrust":
+        return "N m" if member.endswith("z") else "N"
     return _UNITS.get(field, "")
 
 

@@ -126,11 +126,16 @@ double cs_given(const cs_bench *bench, size_t index) {
 
 static int is_driven(const cs_bench *bench) { return *integer((cs_bench *)bench, CS_DRIVEN) != 0; }
 
+/* A bench with inputs pauses at each communication point. */
+static int has_inputs(const cs_bench *bench) {
+  return is_driven(bench) || *integer((cs_bench *)bench, CS_THRUSTING) != 0;
+}
+
 /* Run to time t and sample there; first_event receives the time of the first event after `after`. */
 static cs_result run_to(cs_bench *bench, double t, double after, double *first_event) {
-  /* a driven bench closes its last step only when it is asked for more */
+  /* a bench with inputs closes its last step only when it is asked for more */
   const double times[] = {t, CS_NEVER};
-  int n_times = is_driven(bench) && t >= *number(bench, CS_T_STOP) ? 2 : 1;
+  int n_times = has_inputs(bench) && t >= *number(bench, CS_T_STOP) ? 2 : 1;
   for (;;) {
     int64_t count = 0;
     void *exception = NULL;
@@ -170,7 +175,7 @@ static void detect(cs_bench *bench, int is_end) {
 
 /* Run to time t with the detector at its own times on the way. */
 static cs_result follow_to(cs_bench *bench, double t, double after, double *first_event) {
-  if (is_driven(bench)) {
+  if (has_inputs(bench)) {
     *number(bench, CS_T_STOP) = t;
     *integer(bench, CS_EQUATIONS_CHANGED) = 1;
   }
@@ -196,7 +201,7 @@ static void go_back(cs_bench *bench) {
 }
 
 static cs_result start(cs_bench *bench) {
-  for (int k = 0; !is_driven(bench) && k < CS_INPUT_COUNT; k++) {
+  for (int k = 0; !is_driven(bench) && k < CS_TIP_INPUT_COUNT; k++) {
     if (cs_given(bench, k) == 0.0) continue;
     snprintf(bench->message, sizeof bench->message,
              "%s = %.9g %s: must be 0 unless contact_outside is true", cs_inputs[k].name,
@@ -221,7 +226,7 @@ cs_result cs_advance(cs_bench *bench, double t, int stop_at_events) {
   }
   if (start(bench) != CS_OK) return CS_REJECTED;
   if (bench->detector.is_over) return CS_ENDED;
-  if (is_driven(bench) && t == before && !is_first) return CS_OK;
+  if (has_inputs(bench) && t == before && !is_first) return CS_OK;
   save(bench);
   result = follow_to(bench, t < bench->end ? t : bench->end, before, &event);
   if (result == CS_OK && bench->end <= t) result = CS_ENDED;
@@ -232,7 +237,7 @@ cs_result cs_advance(cs_bench *bench, double t, int stop_at_events) {
     if (result == CS_OK) result = CS_EVENT;
   } else if (result == CS_ENDED) {
     /* Once more from before, up to the end, which is known only now if the latch has closed. */
-    double end = is_driven(bench) ? bench->end : *number(bench, CS_T_STOP);
+    double end = has_inputs(bench) ? bench->end : *number(bench, CS_T_STOP);
     go_back(bench);
     result = follow_to(bench, end, end, &event);
     if (result == CS_OK) {

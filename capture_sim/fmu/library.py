@@ -153,11 +153,13 @@ def _header(unit: Unit, workspace: np.ndarray, without_walls: np.ndarray) -> str
         "EQUATIONS_CHANGED": offset_of(WORKSPACE, "step", "equations_changed"),
         "HAS_SHAPED_BUFFER": offset_of(WORKSPACE, "system", "par", "has_shaped_buffer"),
         "AFTER_LATCH": offset_of(WORKSPACE, "system", "par", "after_latch"),
+        "THRUSTING": offset_of(WORKSPACE, "system", "mode", "thrusting"),
         "DRIVEN": offset_of(WORKSPACE, "system", "mode", "driven"),
         "WORD_COUNT": len(places_of_words),
         "PLACES": width,
         "PARAMETER_COUNT": len(found),
         "INPUT_COUNT": len(unit.inputs),
+        "TIP_INPUT_COUNT": sum(each.name.startswith("wrench.") for each in unit.inputs),
         "OUTPUT_COUNT": len(unit.outputs),
     }
     needs = instructions(portable=unit.portable)

@@ -128,20 +128,29 @@ def outputs() -> list[Variable]:
 
 
 def inputs(scene: Scene) -> list[Variable]:
-    """Return the wrench on the tip from outside; none for a scene with supports.
+    """Return the wrench on the tip from outside, and those on vehicles with thrusters.
 
-    Vehicles at rest on supports begin to move where the load on them passes a limit; the engine
-    seeks that within its steps, in which a load from outside must not jump.
+    A scene with supports has none on the tip: it acts in place of the walls, which stay there.
     """
-    if scene.supports is not None:
-        return []
-    place = offset_of(WORKSPACE, "system", "mode", "wrench")
     numbers = (("force.x", "N"), ("force.y", "N"), ("torque.z", "N m"))
-    doc = "wrench on the tip, about its centre, in the axes of target/cone"
-    return [
-        Variable(f"wrench.{name}", unit, (place + 8 * k,), doc=doc)
-        for k, (name, unit) in enumerate(numbers)
-    ]
+
+    def wrench(name: str, doc: str, place: int) -> list[Variable]:
+        return [
+            Variable(f"{name}.{part}", unit, (place + 8 * k,), doc=doc)
+            for k, (part, unit) in enumerate(numbers)
+        ]
+
+    found = []
+    if scene.supports is None:
+        place = offset_of(WORKSPACE, "system", "mode", "wrench")
+        doc = "wrench on the tip, about its centre, in the axes of target/cone"
+        found += wrench("wrench", doc, place)
+    place = offset_of(WORKSPACE, "system", "mode", "thrust")
+    for k, vehicle in enumerate(("chaser", "target")):
+        if getattr(scene.thrusters, vehicle, None) is not None:
+            doc = f"held wrench on the {vehicle}, about its centre of mass, in its own axes"
+            found += wrench(f"thrust.{vehicle}", doc, place + 24 * k)
+    return found
 
 
 def parameters(scene: Scene, workspace: np.ndarray) -> list[Variable]:

@@ -43,7 +43,7 @@ class StageState(NamedTuple):
 
 def _energies(samples: np.ndarray) -> np.ndarray:
     lost = samples["dissipated_contact"] + samples["dissipated_friction"]
-    return np.asarray(samples["energy_residual"] - lost)
+    return np.asarray(samples["work_thrust"] + samples["energy_residual"] - lost)
 
 
 def state_after_rail(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -59,19 +59,17 @@ def state_after_rail(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 class LoopStage:
-    """Vehicles, buffer, stroke stops and latch, floating free, with the tip's wrench from outside.
+    """Vehicles, buffer, supports, stroke stops and latch, with the tip's wrench from outside.
 
     The wrench is held over each ``step`` (s).  With a rail the stage begins where the chaser leaves
     it.  Once latched, the wrench acts no more.  The walls of the scene do not act; see
-    :meth:`set_law`.  SceneError for a scene with supports.  ``state``: coordinates (8,) and rates
+    :meth:`set_law`.  ``state``: coordinates (8,) and rates
     (8,) to begin with, None for those of the scene.
     """
 
     def __init__(
         self, scene: Scene, step: float = 1e-3, state: tuple[np.ndarray, np.ndarray] | None = None
     ) -> None:
-        if scene.supports is not None:
-            raise SceneError("supports: must be null for hardware in the loop")
         self.scene, self.step = scene, step
         self._bench = Bench(scene)
         if state is None:

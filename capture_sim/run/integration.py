@@ -15,8 +15,8 @@ import numpy as np
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.detection.exact import ExactDetector, Statuses
 from capture_sim.dynamics.bench import Bench
-from capture_sim.dynamics.drive import drive
-from capture_sim.dynamics.memory import Memory
+from capture_sim.dynamics.drive import Control, drive
+from capture_sim.dynamics.memory import Memory, joined
 from capture_sim.dynamics.sample_times import to_the_end
 from capture_sim.dynamics.samples import SAMPLE
 from capture_sim.errors import SceneError, SimulationError
@@ -114,6 +114,16 @@ class Integration:
     def sample(self, times: np.ndarray) -> np.ndarray:
         """Run to the end, and return the samples at times, (n,), s, in place of the detector's."""
         return self._integrated(to_the_end(times))
+
+    def controlled(self, control: Control) -> tuple[np.ndarray, Statuses]:
+        """Run to the end with a controller; return samples at ``run.state_rate``, and statuses."""
+        run = self.bench.scene.run
+        pieces = list(drive(self.bench, control=control))
+        self.failure = str(pieces[-1].failure or "")
+        samples = joined([piece.samples for piece in pieces])
+        measured = samples[:: round(run.state_rate / run.rate)]
+        self._note(measured)
+        return samples, self._detector.statuses(measured, cut=bool(self.failure))
 
     def _integrated(self, times: np.ndarray) -> np.ndarray:
         try:

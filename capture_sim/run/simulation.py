@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 from capture_sim.base.software import software_versions
 from capture_sim.detection.exact import Statuses
 from capture_sim.dynamics.compilation import compile_kernels
+from capture_sim.dynamics.drive import Control
 from capture_sim.dynamics.sample_times import check_times
 from capture_sim.dynamics.samples import EventKind
-from capture_sim.errors import SimulationError
+from capture_sim.errors import SceneError, SimulationError
 from capture_sim.run.integration import Integration, check_memory, kept
 from capture_sim.run.lazy import Deferred, LazyMapping
 from capture_sim.run.origin import Origin
@@ -50,6 +51,7 @@ def simulate(
     rtol: float | None = None,
     check: bool = False,
     trace: bool = False,
+    control: Control | None = None,
 ) -> Run:
     """Run a scene from the release to its end.
 
@@ -72,6 +74,9 @@ def simulate(
         True to run a second time with a smaller tolerance and compare; see :class:`Check`.
     trace
         True to keep the contact at the integrator's own steps, as with ``scene.run.trace``.
+    control
+        Controller of the scene's thrusters, see :class:`capture_sim.dynamics.drive.Control`;
+        without ``t_eval``.
 
     Returns
     -------
@@ -102,7 +107,15 @@ def simulate(
     compile_kernels()
     samples: np.ndarray | Deferred[np.ndarray]
     judged: Deferred[_Judged] | _Judged
-    if times is None:
+    if control is not None:
+        if times is not None:
+            raise SceneError("t_eval: must be None with a controller")
+        integration = Integration(scene)
+        start = time.perf_counter()
+        samples, statuses = integration.controlled(control)
+        judged = _judged_as(integration, statuses)
+        grid = Deferred(partial(np.asarray, samples))
+    elif times is None:
         (memory,) = kept.memories(1)
         integration = Integration(scene, memory)
         start = time.perf_counter()
@@ -141,7 +154,8 @@ def simulate(
     if not check:
         return result
     try:
-        finer = simulate(_with_run(scene, run.refined(100.0, 4.0)), t_eval=result.t)
+        same: dict[str, Any] = {"t_eval": result.t} if control is None else {"control": control}
+        finer = simulate(_with_run(scene, run.refined(100.0, 4.0)), **same)
     except RunError as error:
         finer = error.result
     return result.replaced(check=_compare(result, finer))
@@ -175,7 +189,10 @@ class _Judged(NamedTuple):
 
 
 def _judged(integration: Integration) -> _Judged:
-    statuses = integration.statuses()
+    return _judged_as(integration, integration.statuses())
+
+
+def _judged_as(integration: Integration, statuses: Statuses) -> _Judged:
     return _Judged(statuses, Integrated(integration.t_end, integration.energy_residual))
 
 

@@ -229,7 +229,7 @@ def check_scene(scene: Scene) -> LaunchPlan:
     """
     rules = (
         *(_contact, _contact_table, _friction, _throat, _force_table, _stops, _rates),
-        *(_start, _supports, _rail, _string, _latch),
+        *(_start, _supports, _rail, _string, _latch, _thrusters),
     )
     try:
         with np.errstate(all="ignore"):  # what is not finite is refused by name
@@ -440,6 +440,13 @@ def _latch(scene: Scene) -> None:
     mouth = scene.cone.L_c * math.cos(scene.cone.half_angle)
     if scene.latch is not None and scene.latch.radius >= mouth:
         raise refuse("latch.radius", scene.latch.radius, "m", f"< {mouth:.6g}, the cone's depth")
+
+
+@depends_on("thrusters")
+def _thrusters(scene: Scene) -> None:
+    thrusters = scene.thrusters
+    if thrusters is not None and thrusters.chaser is None and thrusters.target is None:
+        raise SceneError("thrusters: must be on the chaser or the target, or null")
 
 
 @depends_on(*TIP_AT_RELEASE, "cone")

@@ -390,6 +390,40 @@ class Stops(Checked):
 
 
 @dataclass(frozen=True)
+class Thruster(Checked):
+    """Thrusters of a vehicle: what they can do with a commanded wrench.
+
+    A wrench is held between commands, in the vehicle's axes, at its centre of mass.
+    """
+
+    force: float = quantity("N", POSITIVE, doc="largest force along each axis; more is cut")
+    torque: float = quantity("N m", POSITIVE, doc="largest moment; more is cut")
+    delay: float = quantity(
+        "s", Range(0.0, 10.0), default=0.0, doc="delay from a command to its wrench"
+    )
+    min_pulse: float = quantity(
+        "s",
+        Range(0.0, 10.0),
+        default=0.0,
+        doc="shortest time for which a wrench is held; an earlier command waits",
+    )
+
+
+@dataclass(frozen=True)
+class Thrusters(Checked):
+    """Thrusters on the vehicles, which a controller commands."""
+
+    chaser: Thruster | None = None
+    target: Thruster | None = None
+    timeout: float = quantity(
+        "s",
+        Range(0.0, 1e6, low_open=True),
+        default=0.5,
+        doc="time after which a wrench without a new command ends",
+    )
+
+
+@dataclass(frozen=True)
 class PlanarState(Checked):
     """Pose and velocity of a vehicle's centre of mass in the world."""
 
@@ -401,6 +435,11 @@ class PlanarState(Checked):
     vx: float = quantity("m/s", default=0.0, doc="velocity of the centre of mass along x")
     vy: float = quantity("m/s", default=0.0, doc="velocity of the centre of mass along y")
     omega: float = quantity("rad/s", default=0.0, doc="angular velocity")
+
+    @property
+    def moves(self) -> bool:
+        """True unless the vehicle is at rest."""
+        return bool(self.vx or self.vy or self.omega)
 
 
 @dataclass(frozen=True)
@@ -581,6 +620,7 @@ class Scene(Checked):
     latch: Latch | None = None
     stops: Stops | None = None
     sensors: Sensors | None = None
+    thrusters: Thrusters | None = None
     gravity: float = quantity("m/s^2", POSITIVE, default=9.80665, doc="acceleration of gravity")
 
     def __post_init__(self) -> None:

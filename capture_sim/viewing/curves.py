@@ -384,7 +384,7 @@ def energy_layers(
     and energy (n,), mJ, of each layer that is large enough to be seen.
     """
     samples = samples[:: max(len(samples) // _POINTS, 1)]
-    put_in = (samples["kinetic"][0] + samples["work_string"]) * 1e3
+    put_in = (samples["kinetic"][0] + samples["work_string"] + samples["work_thrust"]) * 1e3
     layers = []
     for name, colour, fields in LAYERS:
         layer = np.sum([samples[field] for field in fields], axis=0) * 1e3

@@ -1,5 +1,6 @@
 """A scene as a unit of FMI 3.0 and as a library in C: another program's runs equal Python's."""
 
+import math
 import re
 import subprocess
 from contextlib import contextmanager
@@ -245,6 +246,28 @@ def test_a_wrench_from_outside_moves_the_unit_as_the_bench(unit, instances):
             assert instance.get(name, kind) == pytest.approx(value[0], rel=EQUAL, abs=EQUAL), name
     assert instance.get("capture_state", "Int64") == CaptureState.CONTACT
     assert sample["v"][0] < 0.09  # of 0.1 m/s
+
+
+def test_thrust_moves_the_unit_as_the_bench_to_its_end(unit, instances):
+    """Wrenches on both vehicles that change every 50 ms, through touches, in some outputs."""
+    limits = {"force": 5.0, "torque": 1.0}
+    changes = {"thrusters": {"chaser": limits, "target": limits}, "run.t_end": 0.52}
+    instance = instances(unit("paper_designed", changes))
+    instance.begin()
+    bench, t, is_over = Bench(load_scene("paper_designed", changes)), 0.0, False
+    names = [f"thrust.{v}.{n}" for v in ("chaser", "target") for n in ("force.x", "force.y")]
+    while not is_over:
+        force = [math.cos(7 * t), math.sin(5 * t), -0.5, 0.2 * math.cos(t)]
+        instance.set(dict(zip(names, force, strict=True)))
+        until = min(t + 0.05, 0.52)
+        bench.thrust((*force[:2], 0.0), (*force[2:], 0.0), until)
+        sample = bench.advance([until])[-1]
+        t, _, is_over = instance.step(t, 0.05)
+        for name in ("q.x_S", "q.y_T", "v.theta_P", "work_thrust", "thrust.target_y"):
+            value = columns_of(np.array([sample]))[name][0]
+            assert instance.get(name) == pytest.approx(value, rel=EQUAL, abs=EQUAL), name
+    assert t == pytest.approx(0.52)
+    assert sample["touches"] > 3
 
 
 def test_a_unit_with_the_contact_outside_has_no_walls_and_ends_after_its_latch(unit, instances):

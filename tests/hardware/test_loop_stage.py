@@ -7,7 +7,7 @@ import pytest
 from elastic_loop import advanced
 from four_bodies import bias, buffer_forces, kinetic, mass_matrix, momentum, tip
 
-from capture_sim import SceneError, load_scene, simulate
+from capture_sim import load_scene, simulate
 from capture_sim.dynamics.samples import EventKind
 from capture_sim.hardware.law import NO_LAW, WallLaw, Walls, Wrench
 from capture_sim.hardware.stage import LoopStage, SafeStopError
@@ -164,11 +164,6 @@ def test_a_bench_that_cannot_go_on_says_why():
     with pytest.raises(SafeStopError, match="pushed in up to its tip"):
         for _ in range(1000):
             soft.take_step(Wrench(-100.0))
-
-
-def test_supports_are_rejected():
-    with pytest.raises(SceneError, match="supports: must be null for hardware in the loop"):
-        LoopStage(load_scene("tilt_0"))
 
 
 def test_the_loop_begins_behind_the_rail():

@@ -204,7 +204,8 @@ def latch_tip(w):
     w.step.start_measured = 0
     mode.latch_x = px
     mode.latch_y = py
-    progress.t_stop = min(progress.t_stop, w.step.t0 + par.after_latch)
+    progress.t_end = min(progress.t_end, w.step.t0 + par.after_latch)
+    progress.t_stop = min(progress.t_stop, progress.t_end)
     log_event(w, EventKind.LATCHED).value = math.hypot(px + par.L_T, py)
 
 

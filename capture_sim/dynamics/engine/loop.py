@@ -9,6 +9,7 @@ from capture_sim.dynamics.engine.rail import close_rail, plan_rail, rail_state
 from capture_sim.dynamics.engine.segment import close_step, plan_step
 from capture_sim.dynamics.engine.state import LOG_ROOM, Segment, Status
 from capture_sim.dynamics.engine.steps import make_dense
+from capture_sim.dynamics.engine.work import work_inside
 from capture_sim.dynamics.model.equations import N_STATE, N_TOTAL, rate_of_change
 from capture_sim.dynamics.model.observe import observe
 from capture_sim.dynamics.samples import EventKind
@@ -63,7 +64,7 @@ def keeps_energy(w):
     if par.fixed_step == 0.0:
         return True
     observe(w.step.t0, w.stepper.y, w, s)
-    supplied = totals.energy_0 + s.work_string - totals.lost_landing
+    supplied = totals.energy_0 + s.work_string + abs(s.work_thrust) - totals.lost_landing
     return abs(s.energy_residual) <= _MAX_RESIDUAL * supplied
 
 
@@ -80,6 +81,11 @@ def sample_at(w, t, sample):
         make_dense(w)
         dense(stepper, (t - step.t0) / step.h, y, N_TOTAL)
     observe(t, y, w, sample)
+    acts = w.system.mode.thrusting or w.system.mode.driven
+    if acts and step.segment == Segment.STEP:
+        work = work_inside(w, (t - step.t0) / step.h if step.h > 0.0 else 0.0, y)
+        sample.work_thrust += work
+        sample.energy_residual -= work
 
 
 @entry_kernel
@@ -116,7 +122,7 @@ def advance(workspaces, times, samples, trace):
             if w.system.mode.latched != latched:
                 begin_extremes(w)
         if step.segment != Segment.NONE and w.event.kind == EventKind.END:
-            if w.system.mode.driven:
+            if w.system.mode.driven or step.t0 < progress.t_end:
                 step.segment = Segment.NONE  # until the next wrench
                 break
             end_run(w)

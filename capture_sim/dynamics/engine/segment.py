@@ -23,6 +23,7 @@ from capture_sim.dynamics.engine.steps import (
     step_length,
     take_step,
 )
+from capture_sim.dynamics.engine.work import work_inside
 from capture_sim.dynamics.model.contact import acts, contact_slope
 from capture_sim.dynamics.model.equations import N_TOTAL, rate_of_change
 from capture_sim.dynamics.model.observe import observe
@@ -203,6 +204,8 @@ def close_step(w, trace):
         if step.t1 > step.t0:
             watch_extremes(w)
             watch_loads(w)
+            if mode.thrusting or mode.driven:
+                w.totals.work_thrust += work_inside(w, step.x_end, w.y_end)
         for i in range(N_TOTAL):
             stepper.y[i] = w.y_end[i]
         if step.x_end < 1.0:

@@ -115,6 +115,7 @@ TOTALS = np.dtype(
         ("energy_0", "f8"),  # J, at the release
         ("lost_landing", "f8"),  # J, at the instant of an event
         ("lost_latch", "f8"),
+        ("work_thrust", "f8"),  # of wrenches from outside, up to the start of the step, J
         ("lost_slide", "f8"),  # by friction in the slide, but for the present slide
         ("slide_from", "f8"),  # h where the present slide began, m
         ("extreme", "f8", (2, len(EXTREME_NAMES))),  # before and after the latch
@@ -129,7 +130,8 @@ PROGRESS = np.dtype(
         ("begun", "i8"),
         ("done", "i8"),
         ("status", "i8"),  # of Status
-        ("t_stop", "f8"),
+        ("t_stop", "f8"),  # of this call: a pause, or the end of the run
+        ("t_end", "f8"),  # of the run
         ("events_at_t0", "i8"),  # in a row, without progress
         ("released_at_t0", "i8"),  # the probe was held until the present time
         ("slow", "i8", (2,)),  # chaser, target: below the rest speed; AT_REST is not sought again

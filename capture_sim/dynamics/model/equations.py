@@ -76,6 +76,8 @@ MODE = np.dtype(
         ("rest_T", "i8"),  # target at rest on its supports
         ("driven", "i8"),  # an external wrench acts on the tip until the latch closes
         ("wrench", "f8", (3,)),  # target's axes, at the tip's centre: N, N, N m
+        ("thrusting", "i8"),  # wrenches from outside act on the vehicles
+        ("thrust", "f8", (6,)),  # N, N, N m, each in its vehicle's axes: chaser, then target
     ],
     align=True,
 )
@@ -128,6 +130,12 @@ def hold_at_rest(parameters: np.void) -> Hold:
     if parameters["preload"] > 0.0:
         return Hold.SEAT
     return Hold.FRICTION if parameters["slide_friction"] > 0.0 else Hold.NONE
+
+
+@inline_kernel
+def turned(x, y, s, c):
+    """Return a vector in the world's axes that is (x, y) in axes turned by a sine and a cosine."""
+    return c * x - s * y, s * x + c * y
 
 
 @inline_kernel
@@ -359,6 +367,15 @@ def accelerate(y, f, system):
     reduced_u = R_u - R_h
     reduced_w = R_w - ratio * R_P
     reduced_S = R_S - a * (cD * ratio * R_P + sD * R_h)
+    if mode.thrusting:
+        tx, ty = turned(mode.thrust[0], mode.thrust[1], sS, cS)
+        reduced_u += tx * cP + ty * sP
+        reduced_w += ty * cP - tx * sP
+        reduced_S += mode.thrust[2]
+        tx, ty = turned(mode.thrust[3], mode.thrust[4], sT, cT)
+        gx -= tx
+        gy -= ty
+        target += mode.thrust[5]
     hold_x = reduced_u * cP - reduced_w * sP
     hold_y = reduced_u * sP + reduced_w * cP
     hold_m = reduced_S

@@ -71,7 +71,8 @@ def mechanical_energy(y, system):
 def observe(t, y, w, sample):
     """Fill one record of dtype SAMPLE for the state ``y`` at ``t``.
 
-    ``w`` is a record of dtype :data:`capture_sim.dynamics.engine.state.WORKSPACE`.
+    ``w`` is a record of dtype :data:`capture_sim.dynamics.engine.state.WORKSPACE`.  The work of
+    wrenches from outside is that up to the start of the step.
     """
     system, rail, totals = w.system, w.rail, w.totals
     par, mode, out = system.par, system.mode, system.out
@@ -152,6 +153,9 @@ def observe(t, y, w, sample):
         )
     sample.kinetic = kinetic
     sample.elastic_axial, sample.elastic_torsion = buffer_energy(stroke, torsion, par)
+    for i in range(6):
+        sample.thrust[i] = 0.0 if rail.on else mode.thrust[i]
+    sample.work_thrust = totals.work_thrust
     sample.work_string = par.m_hanging * par.gravity * (par.drop_height - sample.mass_height)
     sample.dissipated_axial = y[AXIAL]
     sample.dissipated_torsion = y[TORSION]
@@ -168,7 +172,8 @@ def observe(t, y, w, sample):
     lost = totals.lost_latch + totals.lost_landing + sample.dissipated_slide
     for i in range(AXIAL, STOP + 1):
         lost += y[i]
-    sample.energy_residual = stored - totals.energy_0 - sample.work_string + lost
+    work = sample.work_string + totals.work_thrust
+    sample.energy_residual = stored - totals.energy_0 - work + lost
 
 
 @kernel
