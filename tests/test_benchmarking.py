@@ -81,6 +81,7 @@ def results():
         return measure(True, Progress())
 
 
+@pytest.mark.long
 def test_a_quick_benchmark_writes_its_page_and_every_trial(results, tmp_path, drawn):
     save(results, tmp_path)
     page = (tmp_path / "benchmark.md").read_text(encoding="utf-8")

@@ -7,6 +7,7 @@ import math
 import dirty
 import numpy as np
 import pytest
+from cases import cases
 
 import capture_sim
 from capture_sim.cli import main
@@ -34,7 +35,8 @@ def test_cut_at_any_time_gives_no_verdict_that_the_motion_has_not_given(case, fi
     since = final.t - final.time_in_state
     assert final.state.is_verdict
     rng = np.random.default_rng(1)
-    for t in (2.2, 2.59, 2.65, 3.2, *rng.uniform(2.5, since + 0.5, 4)):
+    drawn = rng.uniform(2.5, since + 0.5, 4)
+    for t in cases(few=[2.65, drawn[0]], all=[2.2, 2.59, 2.65, 3.2, *drawn]):
         run = read_run(recorded(case, t, tmp_path / "cut.mcap", finish=finish), scene=scene)
         verdict = detect(run)[-1]
         if verdict.state.is_verdict:

@@ -305,6 +305,7 @@ def test_the_command_leaves_scenes_that_run_to_the_figures_of_its_table(tmp_path
     assert not (tmp_path / "design_01.yaml").exists()
 
 
+@pytest.mark.long
 def test_an_active_limit_has_a_cost_by_runs(servicer):
     """A stroke that limits the force: 1 % more of it, and a design for that."""
     limits = make_limits({"max_axial_stroke_in": 0.010})

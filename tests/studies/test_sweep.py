@@ -189,6 +189,7 @@ def test_processes_threads_and_no_executor_give_the_same_table(alone):
     assert_frame_equal(small(None), alone, check_exact=True)
 
 
+@pytest.mark.long
 def test_a_dask_cluster_gives_the_same_table(alone):
     distributed = pytest.importorskip("distributed", reason="Dask is optional: the extra cluster")
     local = {"n_workers": 1, "threads_per_worker": 1, "host": "127.0.0.1"}
