@@ -147,6 +147,14 @@ ROLL = Topic(
     stamp=Stamp.NONE,
 )
 
+# commands of a user's controller to the scene's thrusters; what they do is in bench/state
+CHASER_CMD_WRENCH = Topic(
+    "chaser/cmd_wrench", "geometry_msgs/msg/WrenchStamped", (), Rate.CONTROL, depth=10
+)
+TARGET_CMD_WRENCH = Topic(
+    "target/cmd_wrench", "geometry_msgs/msg/WrenchStamped", (), Rate.CONTROL, depth=10
+)
+
 #: All topics of a run, in the order in which a sample's messages are sent.
 TOPICS: tuple[Topic, ...] = (
     RUN_INFO,

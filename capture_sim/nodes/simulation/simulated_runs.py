@@ -31,6 +31,7 @@ from capture_sim.nodes.simulation.control import RunCut, SimulationControl
 from capture_sim.nodes.simulation.diagnostics import SimulatorDiagnostics
 from capture_sim.nodes.simulation.robot_model import RobotModel
 from capture_sim.nodes.simulation.stepping import Stepping
+from capture_sim.nodes.simulation.thrust import ThrustCommands
 from capture_sim.run.loads import extremes_to_text
 from capture_sim.scene.launch_plan import LaunchPlan, plan_launch
 from capture_sim.scene.parts import Scene
@@ -99,6 +100,9 @@ class SimulatedRuns:
         self._node, self._control, self._start_timeout = node, control, start_timeout
         self._launcher = LauncherLink(control)
         self._model = RobotModel(node)
+        self._thrust = ThrustCommands(
+            node, wait_for, control.check, lambda: node.topic_publishers.reader_timeout
+        )
         self._diagnostics = SimulatorDiagnostics(node, control)
         node.listen(LAUNCH_COMMAND, self._launcher.receive)
         topics = topics_of(SIMULATOR)
@@ -115,6 +119,7 @@ class SimulatedRuns:
         failure = extremes = ""
         cut: CutKind | None = None
         try:
+            self._thrust.listen(scene)
             self._announcer.await_nodes(scene.name, self._start_timeout)
             telemetry, has_launcher = self._begin_run(scene)
             if has_launcher:
@@ -170,7 +175,7 @@ class SimulatedRuns:
         """Send the run; return why it failed, or an empty text."""
         name = bench.scene.name
         self._node.get_logger().info(f"{name}: released")
-        stepping = Stepping(bench, telemetry, self._control)
+        stepping = Stepping(bench, telemetry, self._control, self._thrust)
         self._diagnostics.begin(stepping)
         try:
             failure = stepping.run(self._node.send, self._model.move)

@@ -13,6 +13,7 @@ from capture_sim.dynamics.drive import drive
 from capture_sim.messages.telemetry import BenchTelemetry
 from capture_sim.messages.topics import Topic
 from capture_sim.nodes.simulation.control import RunCut, SimulationControl
+from capture_sim.nodes.simulation.thrust import ThrustCommands
 
 #: Samples that the core computes at a time stand for no more wall time than this, s ...
 BLOCK_TIME = 0.01
@@ -27,12 +28,19 @@ class Stepping:
     ``t`` (s) and ``residual`` (J): simulated time and energy residual of the last one.
     """
 
-    def __init__(self, bench: Bench, telemetry: BenchTelemetry, control: SimulationControl) -> None:
+    def __init__(
+        self,
+        bench: Bench,
+        telemetry: BenchTelemetry,
+        control: SimulationControl,
+        thrust: ThrustCommands,
+    ) -> None:
         self.bench = bench
         self.count = 0
         self.t = self.residual = 0.0
         self._telemetry = telemetry
         self._control = control
+        self._thrust = thrust
 
     def run(self, send: Callable[[Topic, Any], bool], show: Callable[[np.void], None]) -> str:
         """Send the run; return why it failed, or an empty text.
@@ -44,7 +52,10 @@ class Stepping:
         made, sent = dict(self._telemetry.by_topic), Counter[Topic]()
         failure = ""
         try:
-            for piece in drive(self.bench, block=self._block):
+            thrust = self._thrust.control(self.bench.scene)
+            for piece in drive(self.bench, block=self._block, control=thrust):
+                if thrust is not None:
+                    self._thrust.report(piece.events)
                 block = self._telemetry.block(piece.samples, piece.events, piece.trace)
                 for sample, due in zip(piece.samples, block, strict=True):
                     self._control.tick(float(sample["t"]))
