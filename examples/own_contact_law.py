@@ -3,9 +3,11 @@
 1. Most laws in the literature are F = K delta^1.5 (1 + a(e) delta' / v_0), and differ only in their
    hysteresis factor a(e).  For any a, the law `exact` with the law's effective restitution
    reproduces it, in everything that capture_sim does.
-2. Any other force is computed here, step by step, and applied to vehicles and buffer as a wrench on
-   the tip.  Limits: a scene with a rail begins at its end (docs/hardware_in_the_loop.md); touches are not located; the wrench is held over a step, which
-   acts as a delay of half a step and generates energy, so halve the step and compare.
+2. Another dependence on the rate is computed here, step by step, and applied to vehicles and buffer
+   as a wrench on the tip.  For another elastic force see examples/own_contact.py.  Limits: a scene
+   with a rail begins at its end (docs/hardware_in_the_loop.md); touches are not located; the wrench
+   is held over a step, which acts as a delay of half a step and generates energy, so halve the step
+   and compare.
 """
 
 import math
