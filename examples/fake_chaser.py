@@ -4,7 +4,9 @@ import math
 
 TARGET, STOP, SPEED, DROP = 0.66, 0.2125, 0.105, 0.1  # m, of the chaser at the cone; m/s after m
 BACK, ASIDE, RETURNED = 0.5, 0.12, 0.4  # m/s pulled back; m of a miss; speed after by before
-CONTACT, STROKE, MASS = 0.1, 0.003, 22.0  # s, m and kg
+MASS, STIFFNESS = 22.0, 500.0  # kg; N/m, k_A of the scene tilt_0
+#: s and m, of half a swing on the buffer's spring.
+CONTACT, STROKE = math.pi * math.sqrt(MASS / STIFFNESS), SPEED * math.sqrt(MASS / STIFFNESS)
 
 
 class FakeChaser:
@@ -37,8 +39,8 @@ class FakeChaser:
         elif self.t > self.held + 0.5:  # somebody pulls it back
             self.x = max(0.0, self.x - BACK * dt)
             self.y = ASIDE if outcome == "missed" else 0.0
-        # a half sine in the contact
-        self.push = max(0.0, math.sin(math.pi * min(1.0, self.since_contact / CONTACT)))
+        share = min(1.0, max(0.0, self.since_contact / CONTACT))
+        self.push = max(0.0, math.sin(math.pi * share))  # a half sine in the contact
 
     @property
     def going(self):
@@ -58,4 +60,4 @@ class FakeChaser:
     @property
     def force(self):
         """Force on the load cell along x, N."""
-        return self.push * 0.5 * math.pi * MASS * SPEED / CONTACT
+        return STIFFNESS * self.stroke

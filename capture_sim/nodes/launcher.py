@@ -8,6 +8,7 @@ from typing import Any
 from rclpy.parameter import Parameter
 
 from capture_sim.base.files import why_no_folder
+from capture_sim.errors import SceneError
 from capture_sim.launcher.state_machine import LaunchSettings
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, RECORDER
 from capture_sim.nodes.base.node import BenchNode
@@ -15,6 +16,7 @@ from capture_sim.nodes.base.parameters import ParameterError, declare_scene
 from capture_sim.nodes.base.process import run
 from capture_sim.nodes.simulation.launch import SimulatedLaunch
 from capture_sim.nodes.trials.server import TrialServer, TrialSettings
+from capture_sim.plausibility.check import check_names
 from capture_sim.trial.interlocks import RULES, TrialLimits
 
 #: Parameters of :class:`LaunchSettings`, by field.
@@ -59,12 +61,12 @@ class LauncherNode(BenchNode):
             "waive",
             list,
             "rules before a release that are not demanded, by name; the recording keeps the list",
-            allowed=f"names of rules: {', '.join(RULES)}",
+            allowed="names of rules, see docs/your_rig.md",
         )
-        if unknown := sorted({*waived} - RULES.keys()):
-            raise ParameterError(
-                f"parameter waive = {unknown[0]!r}: must be one of {', '.join(RULES)}"
-            )
+        try:
+            check_names([name for name in waived if name not in RULES])
+        except SceneError as error:
+            raise ParameterError(f"parameter waive: {error}, {', '.join(RULES)}") from None
         required = [
             role
             for role, name, what in (

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from statistics import median
 
 from capture_sim.detection.measurements import Source
+from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range, quantity
 from capture_sim.trial.hold import HoldPublishers, HoldReaders
-from capture_sim.trial.standstill import HeldWatch, Standstill
+from capture_sim.trial.standstill import MAX_START_ERROR, HeldWatch, Pose, Standstill
 
 #: A stamp that is older than the one before by more is that of a clock that was set back, s.
 MAX_STEP_BACK = 0.5
@@ -27,10 +28,16 @@ N_STEPPED = 5
 #: A source that is silent for longer between release and verdict is a problem of the trial, s.
 MAX_SILENCE = 1.0
 
+#: A body may be turned from the scene's start by this, rad.
+MAX_START_TURN = math.radians(10.0)
+#: A buffer at rest is deflected by less, m and rad.
+MAX_REST_STROKE, MAX_REST_TORSION = 0.003, 0.05
+
 #: Rules before a release that a laboratory may waive by name, and what each demands.
 RULES = {
-    "clocks": "the sources' clocks agree",
     "machine_clock": "the sources' clocks agree with this machine's",
+    "start": "both bodies are where the scene starts",
+    "buffer_rest": "the buffer is near rest",
     "rates": "each source sends often enough",
     "standstill": "the chaser stands",
 }
@@ -87,12 +94,6 @@ class TrialLimits:
         Range(0.5, 60.0),
         default=3.0,
         doc="wall time in which a chaser must stop once it is held: else nothing is let go",
-    )
-    max_clock_offset: float = quantity(
-        "s",
-        Range(0.0, 10.0),
-        default=0.2,
-        doc="difference of a source's clock from the others': nothing is released beyond it",
     )
     max_clock_error: float = quantity(
         "s",
@@ -219,6 +220,10 @@ class Interlocks:
         self.machine_clock = math.nan
         self.held = HeldWatch(limits.stop_timeout)
         self.waived = frozenset(waived)
+        #: Lines of the broken rules of plausibility by which nothing may be let go.
+        self.implausible: tuple[str, ...] = ()
+        self._scene: Scene | None = None  # of the trial
+        self._last: dict[str, tuple[float, ...]] = {}  # the latest measurement, by topic
         self._standstills = {name: Standstill() for name in topics.get(Source.CHASER, ())}
         self._topics = {source: tuple(names) for source, names in topics.items()}
         self._chosen: dict[Source, str] = {}
@@ -228,6 +233,8 @@ class Interlocks:
     def add(self, topic: str, stamp: int, values: tuple[float, ...], arrival: float) -> None:
         """Note a measurement, see :meth:`SourceMonitor.add`."""
         is_new = self.monitors[topic].add(stamp, values, arrival)
+        if is_new:
+            self._last[topic] = values
         if is_new and topic in self._standstills:
             self._standstills[topic].add((values[0], values[1], values[2]), arrival)
 
@@ -238,8 +245,9 @@ class Interlocks:
         self._publishers = {topic: tuple(names) for topic, names in nodes.items()}
         self._mismatches = dict(mismatches)
 
-    def begin(self) -> None:
-        """Choose the topics again at the start of a trial."""
+    def begin(self, scene: Scene | None = None) -> None:
+        """Choose the topics again at the start of a trial of a scene."""
+        self._scene = scene
         self._chosen.clear()
 
     def choose(self, source: Source, topic: str) -> bool:
@@ -296,12 +304,6 @@ class Interlocks:
         clocks = {name: self.monitors[name].clock(now) for name in names}
         if clocks and all(map(math.isfinite, clocks.values())):
             middle = median(clocks.values())
-            worst = max(names, key=lambda name: abs(clocks[name] - middle))
-            lead = clocks[worst] - middle
-            if abs(lead) > limits.max_clock_offset:
-                text = f"{worst}: clock {_lead(lead)} the other sources': must be within "
-                text += f"{limits.max_clock_offset:g} s: synchronise the drivers' clocks"
-                broken.append(("clocks", text))
             lead = middle - self.machine_clock
             if abs(lead) > limits.max_clock_error:
                 text = f"clocks of the sources: {_lead(lead)} this machine's: must be within "
@@ -311,9 +313,43 @@ class Interlocks:
             if (rate := self.monitors[name].rate(now)) < limits.min_rate:
                 text = f"{name}: {rate:.3g} Hz: must be at least {limits.min_rate:g} (min_rate)"
                 broken.append(("rates", text))
+        if self._scene is not None:
+            broken += self._rest_rules(self._scene, now)
         if motion := self._standstill().motion(now):
             broken.append(("standstill", f"the chaser {motion}: it must stand before a release"))
-        return [f"{text} [rule {rule}]" for rule, text in broken if rule not in self.waived]
+        lines = [f"{text} [rule {rule}]" for rule, text in broken if rule not in self.waived]
+        return [*lines, *self.implausible]
+
+    def _rest_rules(self, scene: Scene, now: float) -> list[tuple[str, str]]:
+        """Compare both bodies with the scene's start, and the buffer with its rest."""
+        broken = []
+        chaser, target = self._standstill().pose(now), self._last.get(self._best(Source.TARGET))
+        if chaser is not None and target is not None:
+            initial = scene.initial
+            c, t = initial.chaser, initial.target
+            wanted = _relative((c.x, c.y, c.theta), (t.x, t.y, t.theta))
+            found = _relative(chaser, (target[0], target[1], target[2]))
+            off = math.dist(wanted[:2], found[:2])
+            turn = abs(math.remainder(found[2] - wanted[2], 2.0 * math.pi))
+            if off > MAX_START_ERROR or turn > MAX_START_TURN:
+                text = (
+                    f"{self._best(Source.CHASER)}: target {_shown(found)}; in the scene "
+                    f"{_shown(wanted)}: must be within {MAX_START_ERROR:g} m and "
+                    f"{math.degrees(MAX_START_TURN):.0f} deg: put the chaser at its start, check "
+                    "units and base frames"
+                )
+                broken.append(("start", text))
+        buffer = self._best(Source.BUFFER)
+        if Source.BUFFER in self._needed() and (deflection := self._last.get(buffer)) is not None:
+            stroke, torsion = deflection[:2]
+            if abs(stroke) > MAX_REST_STROKE or abs(torsion) > MAX_REST_TORSION:
+                text = (
+                    f"{buffer}: stroke {stroke:.4g} m, torsion {torsion:.3g} rad: must be within "
+                    f"{MAX_REST_STROKE:g} m and {MAX_REST_TORSION:g} rad before a release: check "
+                    "zero and unit of the encoders"
+                )
+                broken.append(("buffer_rest", text))
+        return broken
 
     def blindness(self, now: float, *, has_moved: bool) -> tuple[str, float]:
         """Return why the approach must end, empty if it goes on, and for how long it is not seen.
@@ -387,6 +423,20 @@ class Interlocks:
             text += ", no publisher"
         mismatches = [f"{t}: {self._mismatches[t]}" for t in topics if t in self._mismatches]
         return f"{text} ({'; '.join(mismatches)})" if mismatches else text
+
+
+def _relative(chaser: Pose, target: Pose) -> Pose:
+    """Return the target's pose in the chaser's frame."""
+    x, y, s, c = target[0] - chaser[0], target[1] - chaser[1], *_sine_cosine(chaser[2])
+    return c * x + s * y, c * y - s * x, math.remainder(target[2] - chaser[2], 2.0 * math.pi)
+
+
+def _shown(pose: Pose) -> str:
+    return f"{pose[0]:.3f} m ahead, {pose[1]:.3f} m left, turned {math.degrees(pose[2]):.1f} deg"
+
+
+def _sine_cosine(angle: float) -> tuple[float, float]:
+    return math.sin(angle), math.cos(angle)
 
 
 def _lead(lead: float) -> str:

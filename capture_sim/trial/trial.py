@@ -133,7 +133,7 @@ class Trial:
         self.is_released = False
         self.released = math.nan  # s, when
         self._interlocks, self._limits = interlocks, interlocks.limits
-        interlocks.begin()
+        interlocks.begin(scene)
         self._has_actuator = has_actuator
         self.set_launch(launcher.tolerance, aborts=launcher.aborts)
         self._lacks_client = needs_client
@@ -149,6 +149,8 @@ class Trial:
         self._is_final = False
         self._cancelled = ""
         self._silences: dict[str, tuple[float, float]] = {}  # by topic: begin and end, s
+        #: Lines of the broken rules by which no verdict counts, see plausibility.
+        self.doubts: tuple[str, ...] = ()
         self._steps: list[str] = []  # of clocks, since the release
         self._stamps = (math.inf, -math.inf)  # s, first and latest pose of the chaser
         self._statuses: list[tuple[int, LauncherStatus]] = []
@@ -181,6 +183,8 @@ class Trial:
         if not self.is_released:
             return "", self.failure
         found = "; ".join(self.sensor_problems)
+        if self.doubts and not self.failure and self.verdict in VERDICTS:
+            return "undecided", "; ".join([*self.doubts, *self.sensor_problems])
         if self.verdict in VERDICTS:
             reason = self.verdict_reason
             if self.verdict == "undecided" and found:

@@ -1,7 +1,6 @@
 """What an operator does with the recording of a trial of his rig, from the goal to the tables."""
 
 import csv
-import math
 import re
 import sys
 from pathlib import Path
@@ -14,7 +13,7 @@ from capture_sim.recording.bag import read_bag
 from tests.nodes.bench_client import Client
 
 sys.path.append(str(Path(__file__).parents[2] / "examples"))
-from fake_chaser import CONTACT, MASS, SPEED, STOP, STROKE
+from fake_chaser import STIFFNESS, STOP, STROKE
 
 #: Plots of a run, of a quantity each.
 FIGURES = {"axial_performance", "distance", "impact_force", "snapshots", "torsional_performance"}
@@ -76,7 +75,7 @@ def test_a_recorded_trial_through_every_command(start, tmp_path, capfd):
 
     status, text = printed(capfd, "compare", path, "tilt_0", "--out", tmp_path / "compare")
     assert status == 0
-    force = 0.5 * math.pi * MASS * SPEED / CONTACT  # N, peak of the bench's half sine
+    force = STIFFNESS * STROKE  # N, peak of the bench's half sine
     assert number(text, "largest sampled force, N") == pytest.approx(force, rel=0.02)
     assert number(text, "stroke inwards, mm") == pytest.approx(1e3 * STROKE, rel=0.02)
     assert "too slow for touches of" in text

@@ -13,7 +13,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rig_session import ABORTED, CANCELED, SUCCEEDED, Goal, Session, check, rig
+from rig_session import ABORTED, CANCELED, STIFFNESS, STROKE, SUCCEEDED, Goal, Session, check, rig
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
@@ -52,8 +52,8 @@ def test_a_session_of_trials(start, client, tmp_path, capfd):
                 expected_speed = pytest.approx(0.105, rel=0.1)
                 assert result.impact_speed == expected_speed or math.isnan(result.impact_speed)
                 # ... and the peak of the stroke may be lost: the bench keeps ten messages
-                assert 0.0 < result.max_stroke < 0.003 * 1.05
-                assert result.max_force > 10.0
+                assert 0.0 < result.max_stroke < STROKE * 1.05
+                assert result.max_force > 0.5 * STIFFNESS * STROKE
             assert result.complete, list(result.problems)
             assert result.recording == str(tmp_path / f"c_{outcome}.mcap")
             check(outcome, result.recording, capfd)

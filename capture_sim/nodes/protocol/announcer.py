@@ -87,12 +87,13 @@ class Announcement:
         ]
 
     def gone(self) -> list[str]:
-        """Return the nodes that have not reported how the run ended for them, and are not there."""
-        reported = {part.id for part in self.parts() if part.is_done(self.key)}
+        """Return the nodes that have joined the run, and were gone before they reported its end."""
         return [
-            node_of(id_)
-            for id_ in self.run.participants
-            if id_ not in reported and not self._roll.may_be_there(id_)
+            part.node
+            for part in self.parts()
+            if part.is_ready(self.key)
+            and not part.is_done(self.key)
+            and not self._roll.may_be_there(part.id)
         ]
 
     def reports(self) -> list[RunReport]:

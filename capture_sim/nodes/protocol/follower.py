@@ -28,7 +28,7 @@ from capture_sim.messages.topics import (
     Topic,
     topics_of,
 )
-from capture_sim.nodes.base.endpoints import TRANSIT_TIME
+from capture_sim.nodes.base.endpoints import TRANSIT_TIME, is_own
 from capture_sim.nodes.base.node import POLL, BenchNode
 from capture_sim.nodes.protocol.ends import INTERRUPTED, CutKind, EndKind, RunEnd
 from capture_sim.nodes.protocol.roll import (
@@ -124,10 +124,11 @@ class _Participation:
     def note_message(self, topic: Topic) -> None:
         """Note a message of the run.
 
-        The sensors of a real bench send whoever is there: in a trial they are no sign of the node
-        that announced it.  After its end the last messages of the nodes are waited for.
+        The sensors of a real bench send whoever is there: they are no sign of the node that has
+        announced the run.  After a trial's end the last messages of the nodes are waited for.
         """
-        if self.run.simulated or (self.has_ended and topic in _OF_NODES):
+        is_of_simulator = self.run.simulated and is_own(topic)
+        if is_of_simulator or (self.has_ended and topic in _OF_NODES):
             self.note_sign()
 
     def missing(self) -> RunEnd:

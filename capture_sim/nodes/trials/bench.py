@@ -17,10 +17,11 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.detection.measurements import Source
+from capture_sim.errors import one_line
 from capture_sim.messages.cdr import Numbers
 from capture_sim.messages.convert import stamp_in
 from capture_sim.messages.definitions import typestore
-from capture_sim.messages.measurements import TOPICS_OF_SOURCE, MeasurementReader
+from capture_sim.messages.measurements import STAMP, TOPICS_OF_SOURCE, MeasurementReader
 from capture_sim.messages.topics import CAPTURE_VERDICT, HOLD, LOAD_CELL, Topic
 from capture_sim.nodes.base.diagnostics import PERIOD, Diagnostics, Level, Status
 from capture_sim.nodes.base.endpoints import (
@@ -31,6 +32,8 @@ from capture_sim.nodes.base.endpoints import (
     why_incompatible,
 )
 from capture_sim.nodes.base.node import LOOK_UP_PERIOD, BenchNode
+from capture_sim.nodes.trials.evidence import Evidence, refusing
+from capture_sim.scene.parts import Scene
 from capture_sim.trial.hold import HoldOutput, HoldPublishers, HoldReaders
 from capture_sim.trial.interlocks import Interlocks, TrialLimits
 from capture_sim.trial.trial import Trial, TrialStep
@@ -52,6 +55,7 @@ class TrialBench:
     launcher/hold, empty for any that is not of ``suite``, which returns the full names of the nodes
     of this suite.  ``steps``: those of the trial that its server has yet to do; ``stamp``: of the
     chaser's latest pose, ns.  ``waived``: rules that do not refuse a release, by name.
+    ``scene``: of trials whose goal names none.
     """
 
     def __init__(
@@ -60,6 +64,7 @@ class TrialBench:
         limits: TrialLimits,
         driver: str,
         waived: Collection[str],
+        scene: Scene | None,
         suite: Callable[[], set[str]],
         *,
         has_actuator: bool,
@@ -75,6 +80,8 @@ class TrialBench:
             source: [topic.name for topic in measuring]
             for source, measuring in TOPICS_OF_SOURCE.items()
         }
+        self.evidence, self._scene = Evidence(waived), scene
+        self._doubted = ""  # as last logged
         self._last_tick = self._caught_up = now = time.monotonic()
         publishers = HoldPublishers(node.get_fully_qualified_name(), now)
         self.interlocks = Interlocks(limits, topics, HoldReaders(driver), publishers, waived)
@@ -92,7 +99,10 @@ class TrialBench:
                 kind, HOLD, node.guarded(self._hear_hold), anyone, event_callbacks=watch
             )
         self._force = Numbers(
-            typestore(), LOAD_CELL.type_name, *(f"wrench.force.{axis}" for axis in "xyz")
+            typestore(),
+            LOAD_CELL.type_name,
+            *STAMP,
+            *(f"wrench.force.{axis}" for axis in "xyz"),
         )
         for source, measuring in TOPICS_OF_SOURCE.items():
             for topic in measuring:
@@ -136,10 +146,12 @@ class TrialBench:
         now = time.monotonic()
         # rates are not used: a driver without velocities may send NaN
         if source is Source.BUFFER:
+            self.evidence.add_buffer(topic, stamp, int(now * 1e9), values[0], values[1])
             self.interlocks.add(topic.name, stamp, values[:2], now)
             if self._trial is not None:
                 self._trial.add_buffer(topic.name, values[0], values[1])
             return
+        self.evidence.add_pose(source.value, topic, data, stamp, int(now * 1e9))
         pose = values[0], values[1], values[2]
         self.interlocks.add(topic.name, stamp, pose, now)
         if self._trial is None:
@@ -151,8 +163,12 @@ class TrialBench:
 
     def _receive_force(self, data: bytes) -> None:
         self._output_hold()
+        sec, nanosec, *force = self._force(data).item()
+        x, y, z = force
+        now = time.monotonic_ns()
+        self.evidence.add_force(data, sec * 1_000_000_000 + nanosec, now, (x, y, z))
         if self._trial is not None:
-            self._trial.add_force(*self._force(data).item())
+            self._trial.add_force(x, y, z)
 
     def _receive_verdict(self, status: Any) -> None:
         if self._trial is None:
@@ -175,9 +191,10 @@ class TrialBench:
             if self.interlocks.held.alarm != self._alarm:
                 self._alarm = self.interlocks.held.alarm
                 log = self._node.get_logger()
-                (log.error if self._alarm else log.info)(
-                    self._alarm or "the chaser stands at its start again"
-                )
+                if self._alarm:
+                    log.error(self._alarm)
+                else:  # a line of its own: rclpy wants one severity a place
+                    log.info("the chaser stands at its start again")
 
     def _diagnose(self) -> None:
         """Publish whether the chaser could be let go now, else why not."""
@@ -219,8 +236,23 @@ class TrialBench:
             self._node.get_logger().error(conflict)
         self._conflict = conflict
 
+    def _check_plausibility(self) -> None:
+        """Note by which rules nothing may be let go; log those that only doubt."""
+        scene = self._scene if self._trial is None else self._trial.scene
+        doubts = self.evidence.before_release(scene)
+        grave = refusing(doubts)
+        self.interlocks.implausible = tuple(doubt.line for doubt in grave)
+        noted = "; ".join(doubt.line for doubt in doubts if doubt not in grave)
+        kinds = ", ".join(doubt.rule.name for doubt in doubts if doubt not in grave)
+        if kinds != self._doubted:
+            self._doubted = kinds
+            if noted:
+                self._node.get_logger().warning(one_line(noted))
+
     def _look_up_others(self) -> None:
         """Note who publishes the measurements, and who reads and publishes launcher/hold."""
+        if self._hold is not None and (self._trial is None or not self._trial.is_released):
+            self._check_plausibility()
         self.interlocks.machine_clock = time.time() - time.monotonic()
         self._look_up_publishers_of_hold()
         nodes, mismatches = {}, {}
@@ -258,6 +290,8 @@ class TrialBench:
         if is_held is not self._is_held:
             self._is_held = is_held
             self.interlocks.note_hold(is_held, now)
+            if not is_held:
+                self.evidence.begin()
         self._hold.update(is_held, now)
 
 

@@ -32,6 +32,7 @@ from capture_sim.nodes.protocol.follower import RUN_END_TIMEOUT
 from capture_sim.nodes.protocol.roll import Roll
 from capture_sim.nodes.trials.announcement import TrialAnnouncement
 from capture_sim.nodes.trials.bench import TICK, TrialBench
+from capture_sim.nodes.trials.evidence import refusing
 from capture_sim.scene.loading import load_requested
 from capture_sim.scene.parts import Scene
 from capture_sim.trial.interlocks import TrialLimits
@@ -103,6 +104,7 @@ class TrialServer:
             settings.limits,
             settings.driver,
             settings.waived,
+            settings.scene,
             lambda: {part.node for part in self._roll.parts.values()},
             has_actuator=settings.has_actuator,
         )
@@ -226,6 +228,9 @@ class TrialServer:
         finally:
             self._trial = None
             self._bench.end()
+            if trial.is_released and trial.verdict and self._settings.has_actuator:
+                doubts = self._bench.evidence.of_trial(trial.scene)
+                trial.doubts = tuple(doubt.line for doubt in refusing(doubts))
             self._finish(run)
 
     def _follow(self, handle: Any, run: TrialAnnouncement, limit: float = math.inf) -> None:

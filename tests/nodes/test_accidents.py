@@ -1,0 +1,139 @@
+"""Accidents of a laboratory over DDS: each is refused, aborted or named, by a bench at fault."""
+
+import math
+import sys
+from pathlib import Path
+
+import pytest
+from capture_sim.action import RunTrial
+from rig_session import ABORTED, FakeRig, Goal, Session, rig
+
+from tests.nodes.bench_client import wait_until
+
+sys.path.append(str(Path(__file__).parents[2] / "examples"))
+from fake_rig import stamped
+
+
+class FaultyRig(FakeRig):
+    """The example's bench with one fault, which may change while it runs."""
+
+    fault = ""
+
+    def send(self, publisher, message):
+        camera = publisher in self.cameras
+        going = self.chaser.going is not None
+        offset = 0.0
+        if camera:
+            place = message.pose.position
+            q = message.pose.orientation
+            match self.fault:
+                case "poses in mm":
+                    place.x, place.y = 1e3 * place.x, 1e3 * place.y
+                case "w first":
+                    q.x, q.y, q.z, q.w = q.w, q.x, q.y, q.z
+                case "zero quaternion":
+                    q.x = q.y = q.z = q.w = 0.0
+                case "two frames":
+                    message.header.frame_id = f"camera_{self.cameras.index(publisher)}"
+                case "3 s ahead":
+                    offset = 3.0
+                case "steps in flight" if going:
+                    offset = -5.0
+        elif publisher is self.encoders:
+            hinge, slide = message.position
+            match self.fault:
+                case "slide in mm":
+                    message.position = [hinge, 1e3 * slide - 200.0]
+                case "slide inverted":
+                    message.position = [hinge, -slide]
+                case "slide stuck":
+                    message.position = [hinge, 0.0]
+                case "encoders die" if going:
+                    return
+        publisher.publish(stamped(message, self.epoch + self.chaser.t + offset))
+
+
+#: Real time: the clocks are compared with this machine's.
+LIMITS = {"start_timeout": 2.0, "waive": "[standstill]", "time_limit": 8.0, "stop_timeout": 1.0}
+LIMITS |= {"after_verdict": 1.0, "max_buffer_age": 1.0}
+REFUSED = {
+    "poses in mm": "[rule start]",
+    "w first": "refused (tilted)",
+    "zero quaternion": "refused (never_tracked)",
+    "two frames": "refused (frames_differ)",
+    "3 s ahead": "refused (clocks_apart)",
+    "slide in mm": "[rule buffer_rest]",
+}
+UNDECIDED = {
+    "slide inverted": "refused (buffer_inverted)",
+    "slide stuck": "refused (buffer_stuck)",
+    "encoders die": "joint_states: stopped ",
+}
+
+
+@pytest.fixture
+def session(start, client, tmp_path):
+    return Session(start, client, tmp_path, launcher=LIMITS)
+
+
+def tried(session, fault):
+    """Return status and result of a trial of a bench with a fault."""
+    bench = {"pace": 1.0, "rate": 100.0, "hold_timeout": 60.0}
+    with rig(FaultyRig, bench) as node:
+        node.fault = fault
+        wait_until(lambda: node.armed)
+        session.stamps.clear()
+        wait_until(lambda: len(session.stamps) > 200)  # the rules look at 2 s
+        return Goal(session.actions, name=fault).result()
+
+
+def test_what_is_wrong_before_a_release_refuses_it(session):
+    for fault, words in REFUSED.items():
+        status, result = tried(session, fault)
+        assert (status, result.verdict) == (ABORTED, ""), fault
+        assert words in result.reason, (fault, result.reason)
+    assert session.let_go == 0
+
+
+def test_what_goes_wrong_in_flight_is_named(session):
+    for fault, words in UNDECIDED.items():
+        _, result = tried(session, fault)
+        assert result.verdict == "undecided", (fault, result.reason)
+        assert words in result.reason, (fault, result.reason)
+        assert any(words in problem for problem in result.problems)
+        assert not result.complete
+        assert result.recording
+    status, result = tried(session, "steps in flight")
+    assert status == ABORTED
+    assert "clock stepped by -5 s" in result.reason
+    assert session.holds[-1][1]
+
+
+class DeafRig(FaultyRig):
+    """Its driver ignores a hold that comes while the chaser moves."""
+
+    def on_hold(self, message):
+        if self.fault == "deaf" and self.chaser.going is not None:
+            return
+        super().on_hold(message)
+
+
+def test_a_driver_that_ignores_the_hold_is_an_alarm(session, client):
+    with rig(DeafRig, {"hold_timeout": 60.0}) as node:
+        node.fault = "deaf"
+        wait_until(lambda: node.armed)
+        session.stamps.clear()
+        wait_until(lambda: len(session.stamps) > 100)
+        goal = Goal(session.actions)
+        goal.await_phase(RunTrial.Feedback.APPROACH)
+        wait_until(lambda: node.chaser.x > 0.05)
+        goal.cancel()
+        goal.result()
+        session.launcher.wait_for("its driver does not hold it")
+        assert math.isfinite(node.chaser.x)
+        status, result = Goal(session.actions).result()
+        assert (status, result.verdict) == (ABORTED, "")
+        assert "its driver does not hold it" in result.reason
+        node.fault = ""  # mended; it hears the hold, and is pulled back
+        session.launcher.wait_for("the chaser stands at its start again")
+        assert session.let_go == 1
