@@ -283,9 +283,11 @@ def _is_blank(cell: Any) -> bool:
 
 def _refuse_misspelt(scene: Scene, name: str, inputs: Collection[str]) -> None:
     """Raise SceneError for a column that names a part of a scene, or a field without its part."""
-    part = name.partition(".")[0]
-    is_in_part = "." in name and any(field.startswith(f"{part}.") for field in inputs)
-    if is_in_part or any(field.endswith(f".{name}") for field in inputs):
+    lower = name.lower()
+    part = lower.partition(".")[0]
+    fields = [field.lower() for field in inputs]
+    is_in_part = "." in name and any(field.startswith(f"{part}.") for field in fields)
+    if is_in_part or any(field.endswith(f".{lower}") for field in fields):
         hint = paths.did_you_mean(paths.alike(sorted(inputs), name))
         raise SceneError(f"column {name}: no field of {scene.name}; {hint}")
 

@@ -9,14 +9,16 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
+from capture_sim.run.simulation import simulate
 from capture_sim.studies.candidates import Candidate
 from capture_sim.studies.design import Design, costs_of
 from capture_sim.studies.limits import CAPTURE_RANGE, Measure
-from capture_sim.studies.outcome import CAPTURED
+from capture_sim.studies.outcome import CAPTURED, run_to_verdict
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import subplots
 
@@ -25,25 +27,41 @@ _ROOM, _LINEAR_ROOM = 1.7, 0.3
 
 
 def draw_design(design: Design, picked: int | None = None) -> Figure:
-    """Return a figure of the candidates and the front over each pair of objectives.
+    """Return a figure of the candidates and the front, of the rows' values and of their springs.
 
     With one objective it is over the first limited load, with the progress of the search beside.
     ``picked`` is the index of the picked row; None without a buffer.
     """
     objectives = design.requirements.objectives
-    if len(objectives) > 1:
-        pairs = list(itertools.combinations(objectives, 2))
-        figure, panels = subplots(1.5 + 7.0 * len(pairs), 7.0, 1, len(pairs))
-        for panel, (across, up) in zip(panels.flat, pairs, strict=True):
-            _draw_pair(panel, design, across, up, picked)
-        panels.flat[0].legend(fontsize=11, loc="best")
-    else:
-        figure, [[pair, progress]] = subplots(14.0, 6.0, 1, 2)
+    pairs = list(itertools.combinations(objectives, 2))
+    if not pairs:
         limited = [each for each in design.requirements.limits if each.key != objectives[0].key]
         key = limited[0].key if limited else "max_axial_stroke_in"
-        _draw_pair(pair, design, Measure(key), objectives[0], picked)
-        pair.legend(fontsize=11, loc="best")
-        _draw_progress(progress, design)
+        pairs = [(Measure(key), objectives[0])]
+    several = len(design.rows) > 1
+    # one more panel each: the search's progress or the rows' values, and force over stroke
+    count = len(pairs) + 1 + bool(design.rows)
+    columns = min(count, 3)
+    figure, panels = subplots(
+        0.5 + 6.6 * columns, 6.4 * math.ceil(count / columns) + 0.8, -(-count // columns), columns
+    )
+    used = list(panels.flat)
+    for panel, (across, up) in zip(used, pairs, strict=False):
+        third = next((each for each in objectives if each not in (across, up)), None)
+        _draw_pair(panel, design, across, up, picked, third if len(objectives) > 2 else None)
+    if several:
+        _draw_values(used[len(pairs)], design, picked)
+    else:
+        _draw_progress(used[len(pairs)], design)
+    if design.rows:
+        _draw_springs(used[len(pairs) + 1], design, picked)
+    for panel in used[count:]:
+        panel.set_axis_off()
+    handles, labels = used[0].get_legend_handles_labels()
+    by_label = dict(zip(labels, handles, strict=True))
+    figure.legend(
+        by_label.values(), by_label.keys(), loc="outside lower center", ncols=5, fontsize=11
+    )
     figure.suptitle(_title(design, int(9.0 * figure.get_figwidth())), fontsize=13)
     return figure
 
@@ -54,6 +72,51 @@ def _title(design: Design, width: int) -> str:
     return "\n".join([title, *textwrap.wrap(f"limits: {limits}", width)]) if limits else title
 
 
+def _draw_values(axes: Axes, design: Design, picked: int | None) -> None:
+    """Draw the free values of the rows as parallel coordinates, each over its own range."""
+    variables = design.variables
+    colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(design.rows)))
+    at = np.arange(len(variables))
+    for number, (row, colour) in enumerate(zip(design.rows, colours, strict=True), 1):
+        shares = [each.share(row.candidate.values[each.name]) for each in variables]
+        is_picked = number - 1 == picked
+        axes.plot(at, shares, "o-", color=colour, lw=3.0 if is_picked else 1.5)
+        end = float(at[-1]), float(shares[-1])
+        axes.annotate(str(number), end, (8, -4), textcoords="offset points", fontsize=11)
+    axes.set_xticks(
+        at,
+        [
+            f"{each.name.removeprefix('buffer.')}\n{each.low:.3g} to {each.high:.3g}\n{each.unit}"
+            for each in variables
+        ],
+    )
+    axes.set_xlim(-0.3, len(variables) - 0.6)
+    axes.set_ylim(-0.03, 1.03)
+    axes.set_ylabel("place in the search range")
+    axes.set_title("values of the rows", fontsize=12)
+
+
+def _draw_springs(axes: Axes, design: Design, picked: int | None) -> None:
+    """Draw the axial force of the buffer over its stroke until the verdict, of a few rows."""
+    last = len(design.rows) - 1
+    shown = sorted({0, last, design.knee if picked is None else picked})
+    runs = [(f"row {k + 1}" if last else "design", design.rows[k].candidate) for k in shown]
+    colours = (*style.RUNS[: len(runs)], style.PURPLE)
+    for (name, candidate), colour in zip([*runs, ("own", design.own)], colours, strict=True):
+        if candidate.verdict != CAPTURED:
+            continue
+        scene = design.scene_of(candidate)
+        run = simulate(scene)
+        until = run_to_verdict(scene).t
+        samples = run.samples[run.samples["t"] <= until]
+        stroke, force = samples["axial_stroke"] * 1e3, samples["axial_force"]
+        axes.plot(stroke, force, color=colour, lw=1.2, label=name)
+    axes.set_xlabel("axial stroke  [mm]")
+    axes.set_ylabel("force of the buffer  [N]")
+    axes.set_title("until the verdict", fontsize=12)
+    axes.legend(fontsize=11)
+
+
 def _of(candidates: Sequence[Candidate], measure: Measure) -> np.ndarray:
     """Return a load of candidates in the unit of tables."""
     values = [each.loads.get(measure.key, math.nan) for each in candidates]
@@ -61,17 +124,28 @@ def _of(candidates: Sequence[Candidate], measure: Measure) -> np.ndarray:
 
 
 def _draw_pair(
-    axes: Axes, design: Design, across: Measure, up: Measure, picked: int | None
+    axes: Axes,
+    design: Design,
+    across: Measure,
+    up: Measure,
+    picked: int | None,
+    third: Measure | None = None,
 ) -> None:
-    """Draw the candidates, the front, the knee, the own buffer and the limits over two loads."""
+    """Draw the candidates, the front, the knee, the own buffer and the limits over two loads.
+
+    Rows have the colour of the third objective, if there is one.
+    """
     history = design.history
+    stays = design.requirements.allow_leaving
+    held = [x for x in history if x.verdict == CAPTURED and (stays or not x.left_again)]
     parts = {
         "no capture": (style.LIGHT, [x for x in history if x.verdict != CAPTURED]),
-        "captured, a limit exceeded": (
-            style.ORANGE,
-            [x for x in history if x.verdict == CAPTURED and not x.feasible],
+        "captured, left again": (
+            style.SKY,
+            [x for x in history if x.verdict == CAPTURED and x.left_again and not stays],
         ),
-        "feasible": (style.GREEN, [x for x in history if x.feasible]),
+        "a limit exceeded": (style.ORANGE, [x for x in held if not x.feasible]),
+        "feasible": (style.GREEN, [x for x in held if x.feasible]),
     }
     for label, (colour, candidates) in parts.items():
         if candidates:
@@ -83,6 +157,10 @@ def _draw_pair(
     if is_line and len(design.front) > 1:
         # no buffer between two of the front is known to be on the straight line between them
         axes.plot(*front, "o-", drawstyle="steps-post", label="front", **look)
+    elif design.front and third is not None:
+        values = _of(design.front, third)
+        marks = axes.scatter(*front, c=values, cmap="viridis", s=50, zorder=3, label="front")
+        axes.figure.colorbar(marks, ax=axes, label=f"{third.meaning}  [{third.load.shown_in}]")
     elif design.front:
         axes.plot(*front, "o", label="front" if len(design.front) > 1 else "design", **look)
     if len(design.rows) > 1:

@@ -458,6 +458,7 @@ BAD = [
     ({"sensors.seed": "1,2"}, "sensors.seed: must not vary"),
     ({}, "one axis or more"),
     (pd.DataFrame({"k_A": [1], "buffer.c_A": [1]}), r"column k_A: .*did you mean buffer.k_A\?"),
+    (pd.DataFrame({"Buffer.c_A": [1], "buffer.k_A": [1]}), "column Buffer.c_A: .* buffer.c_A"),
     (pd.DataFrame({"buffer.c_A": []}), "one row"),
     (pd.DataFrame({"buffer.c_A": [None, None]}), "row 0: buffer.c_A: has no value"),
 ]
