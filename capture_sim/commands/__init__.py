@@ -28,6 +28,7 @@ GROUPS = {
         "export": "write a recording as CSV, NumPy or Parquet",
     },
     "examine": {
+        "inspect": "say what recordings are worth, before anything is judged or fitted",
         "detect": "evaluate a recorded run again, with the same or other criteria",
         "compare": "compare two runs, e.g. measured and simulated",
     },

@@ -68,7 +68,7 @@ def check_names(waived: Collection[str]) -> None:
         raise SceneError(f"rule {unknown[0]!r}: not found; rules: {', '.join(RULES)}")
 
 
-def rules_without_scene() -> list[str]:
+def rules_with_scene() -> list[str]:
     """Return the names of the rules that need a scene."""
     return [name for name, each in RULES.items() if each.needs_scene]
 

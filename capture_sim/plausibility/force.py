@@ -12,12 +12,14 @@ from capture_sim.plausibility.motion import Motion
 from capture_sim.plausibility.rules import Grade, Said, rule
 from capture_sim.plausibility.signals import baseline, noise
 
-#: Drift of the sensor's zero that is reported, N.
-_DRIFT = 1.0
+#: Drift of the sensor's zero that is reported, N and N/s.
+_DRIFT, _DRIFT_RATE = 1.0, 0.1
 #: Equal largest values that show saturation: in a row, and more than in other rows, or at times.
 _SATURATED, _TIMES = 4, 4
 #: A force that begins while the tip is further than this from the walls has another cause, m.
 _FAR = 0.02
+#: Poses around that begin must not be further apart, s.
+_NEAR_TIME = 0.1
 #: Impulse over change of momentum: bounds of what friction and sampling explain.
 _SIGN, _SMALL, _LARGE = -0.3, 0.05, 20.0
 
@@ -95,7 +97,7 @@ def _rows(is_so: np.ndarray) -> np.ndarray:
     "force_drifts",
     Grade.NOTED,
     compares="zero of the load cell at the begin and before the first contact",
-    threshold="differ by > 1 N and > 10 standard deviations of their means",
+    threshold="differ by > 1 N, > 0.1 N/s and > 2 standard deviations",
     reason="0.05 N/s is a hard case of a warm-up, and is removed; 1 N is a tenth of a contact's "
     "mean force",
 )
@@ -113,8 +115,8 @@ def force_drifts(motion: Motion) -> Iterator[Said]:
     level = baseline(t[quiet], values[quiet])
     moved = level[-1] - level[0]
     scatter = max(noise(column) for column in values[quiet].T)
-    if float(np.hypot(*moved)) > max(_DRIFT, 2.0 * scatter):
-        duration = float(t[quiet][-1] - t[quiet][0])
+    duration = float(t[quiet][-1] - t[quiet][0])
+    if float(np.hypot(*moved)) > max(_DRIFT, _DRIFT_RATE * duration, 2.0 * scatter):
         yield Said(
             force.topic,
             f"zero drifts by {np.hypot(*moved):.3g} N in {duration:.3g} s before the contact: must "
@@ -137,10 +139,11 @@ def force_without_contact(motion: Motion) -> Iterator[Said]:
     if motion.force is None or begin is None or motion.pair is None:
         return
     t = motion.smooth_times
-    if not len(t) or not t[0] <= begin <= t[-1]:
+    at = int(np.searchsorted(t, begin))
+    if not 0 < at < len(t) or t[at] - t[at - 1] > _NEAR_TIME:
         return
-    gap = -float(motion.stiff_depth[int(np.searchsorted(t, begin))])
-    if np.isfinite(gap) and gap > max(_FAR, 6.0 * motion.pose_noise):
+    gap = float(min(motion.stiff_gap[at - 1 : at + 1]))
+    if gap > max(_FAR, 6.0 * motion.pose_noise):
         yield Said(
             motion.force.topic,
             f"force begins while poses have the tip {1e3 * gap:.3g} mm from the walls: must be "

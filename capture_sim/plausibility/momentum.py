@@ -24,6 +24,8 @@ _LEAST_CHANGE = 0.02
 _MIN_RATE = 300.0
 #: Mean stroke over the contact that an encoder must show, m, or in standard deviations.
 _LEAST_STROKE, _DEVIATIONS = 1e-3, 6.0
+#: The buffer is at rest until this before the first window, s.
+_MARGIN = 0.1
 
 
 class Change(NamedTuple):
@@ -63,17 +65,16 @@ def change_of_speed(motion: Motion, contact: float, axis: np.ndarray) -> Change 
 
 def force_ratio(motion: Motion) -> float | None:
     """Return the impulse of the force over the chaser's change of momentum; None if unknown."""
-    begin = motion.contacts.get("poses", motion.contacts.get("buffer"))
     turned = motion.cone_force
-    if begin is None or turned is None or motion.pair is None or motion.scene is None:
+    if turned is None or motion.pair is None or motion.scene is None:
         return None
     t, force = turned
     if len(t) < 2 or 1.0 / max(float(np.median(np.diff(t))), 1e-9) < _MIN_RATE:
         return None
-    change = change_of_speed(motion, begin, motion.pair.target[:, 2])
+    change = _first_change(motion, motion.pair.target[:, 2])
     if change is None:
         return None
-    quiet = (t >= change.begin - 2.0 * BEFORE) & (t < begin - 0.05)
+    quiet = (t >= change.begin - 4.0 * BEFORE) & (t < change.begin)
     impulse = _integral(t, force[:, 0], change, quiet)
     if impulse is None:
         return None
@@ -96,27 +97,32 @@ def spring_ratio(motion: Motion) -> float | None:
     kept = buffer.is_measured
     t, first = np.unique(buffer.t[kept], return_index=True)
     stroke = buffer.stroke[kept][first]
-    for name in ("force", "poses", "near", "buffer"):
-        begin = motion.near_time if name == "near" else motion.contacts.get(name)
-        change = None if begin is None else change_of_speed(motion, begin, pair.chaser[:, 2])
-        if begin is not None and change is not None:
-            break
-    else:
+    change = _first_change(motion, pair.chaser[:, 2])
+    if change is None:
         return None
     momentum = (scene.chaser.mass + scene.cylinder.mass) * change.speed
     expected = abs(momentum) / spring.k_A  # m s
     least = max(_LEAST_STROKE, _DEVIATIONS * noise(stroke)) * (BEFORE + AFTER)
-    if change.speed > 0.0 or expected < least:
+    if expected < least:
         return None
-    quiet = (t >= change.begin - 2.0 * BEFORE) & (t < begin - 0.05)
-    impulse = _integral(t, stroke, change, quiet)
+    impulse = _integral(t, stroke, change, t < change.begin - _MARGIN)
     return None if impulse is None else impulse * spring.k_A / momentum
+
+
+def _first_change(motion: Motion, axis: np.ndarray) -> Change | None:
+    """Return the chaser's loss of speed over the first contact that any source shows."""
+    begins = sorted(motion.contacts.values())
+    begins = begins or ([] if motion.near_time is None else [motion.near_time])
+    # a later one is no first contact: rolling resistance changes the speed as well
+    near = [begin for begin in begins if begin <= begins[0] + BEFORE]
+    changes = (change_of_speed(motion, begin, axis) for begin in near)
+    return next((found for found in changes if found is not None and found.speed < 0.0), None)
 
 
 def _integral(t: np.ndarray, values: np.ndarray, change: Change, quiet: np.ndarray) -> float | None:
     """Return the integral of values (n,) over a change, less what they were before, ``quiet``."""
     during = (t >= change.begin) & (t <= change.end)
-    if during.sum() < 20 or t[0] > change.begin or t[-1] < change.end or not quiet.any():
+    if during.sum() < 20 or t[0] > change.begin or t[-1] < change.end or quiet.sum() < 20:
         return None
     values = values[during] - np.median(values[quiet])
     return float(0.5 * (values[1:] + values[:-1]) @ np.diff(t[during]))

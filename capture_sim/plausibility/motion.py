@@ -13,7 +13,7 @@ import numpy as np
 
 from capture_sim.plausibility.axes import FORCE_FRAMES, frame_of
 from capture_sim.plausibility.measured import Deflections, Forces, Measured, Poses
-from capture_sim.plausibility.signals import noise, onset, smooth
+from capture_sim.plausibility.signals import baseline, noise, onset, smooth
 from capture_sim.scene.parts import Scene
 
 #: Between poses that are further apart nothing is interpolated, s.
@@ -22,10 +22,18 @@ MAX_GAP = 0.25
 N_SMOOTH = 9
 #: Messages of a source that are needed to know its noise.
 MIN_MESSAGES = 8
-#: Least force, N, and share of the largest, and least deflection, m, that begin a contact.
-_LEAST_FORCE, _FORCE_SHARE, _LEAST_DEFLECTION = 0.5, 0.03, 3e-4
+#: Poses that are closer than this, s, show every contact.
+_TRACKED = 0.05
+#: Least force, N, and share of the largest, that begin a contact.
+_LEAST_FORCE, _FORCE_SHARE = 2.0, 0.05
+#: A limit above this may hide the begin of a contact, N.
+_CLEAR = 3.0
+#: Least deflection of the buffer that begins a contact, m.
+LEAST_DEFLECTION = 3e-4
 #: A tip this close to a wall may touch it, m: base frames are no better.
 _NEAR = 3e-3
+#: ... and one this far from the walls does not, m.
+_AWAY = 1e-2
 
 
 class Pair(NamedTuple):
@@ -44,6 +52,7 @@ class Motion:
     def __init__(self, measured: Measured, scene: Scene | None) -> None:
         self.measured, self.scene = measured, scene
         self._made: dict[str, Any] = {}
+        self._force_limit = 0.0  # N, that a force must pass to begin a contact
 
     def once(self, name: str, make: Callable[[], Any]) -> Any:
         """Return what ``make`` returns, made at the first call with this name."""
@@ -149,17 +158,11 @@ class Motion:
         """
         assert self.pair is not None
         assert self.scene is not None
-        scene, pair = self.scene, self.pair
-        x, y, theta = pair.chaser.T
-        offset, length = scene.buffer.hinge_offset, scene.rest_length + stroke
-        phi = theta + torsion
-        rx = x + offset * np.cos(theta) + length * np.cos(phi) - pair.target[:, 0]
-        ry = y + offset * np.sin(theta) + length * np.sin(phi) - pair.target[:, 1]
-        c, s = np.cos(pair.target[:, 2]), np.sin(pair.target[:, 2])
-        ahead, beside = -(c * rx + s * ry + scene.cone.L_T), c * ry - s * rx
+        scene = self.scene
+        ahead, beside = self._tip(stroke, torsion)
         R_c, L_c, cos_b, sin_b = scene.cone.wall
         radius = scene.probe.tip_radius
-        deepest = np.full(len(x), -np.inf)
+        deepest = np.full(len(ahead), -np.inf)
         for side in (1.0, -1.0):
             along = ahead * cos_b + (side * beside - R_c) * sin_b
             across = ahead * sin_b - (side * beside - R_c) * cos_b
@@ -168,6 +171,35 @@ class Motion:
             depth = np.where(is_at_wall & was_inside, radius - across, -np.inf)
             deepest = np.maximum(deepest, depth)
         return deepest
+
+    def _tip(self, stroke: np.ndarray, torsion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the tip ahead of BE and beside the cone's axis, (n,) each, m."""
+        assert self.pair is not None
+        assert self.scene is not None
+        scene, pair = self.scene, self.pair
+        x, y, theta = pair.chaser.T
+        offset, length = scene.buffer.hinge_offset, scene.rest_length + stroke
+        phi = theta + torsion
+        rx = x + offset * np.cos(theta) + length * np.cos(phi) - pair.target[:, 0]
+        ry = y + offset * np.sin(theta) + length * np.sin(phi) - pair.target[:, 1]
+        c, s = np.cos(pair.target[:, 2]), np.sin(pair.target[:, 2])
+        ahead, beside = -(c * rx + s * ry + scene.cone.L_T), c * ry - s * rx
+        return ahead, beside
+
+    @cached_property
+    def stiff_gap(self) -> np.ndarray:
+        """Running median of the distance of a tip on a stiff buffer to the walls, (k,), m."""
+        assert self.pair is not None
+        assert self.scene is not None
+        zero = np.zeros(len(self.pair.t))
+        ahead, beside = self._tip(zero, zero)
+        R_c, L_c, cos_b, sin_b = self.scene.cone.wall
+        gaps = []
+        for side in (1.0, -1.0):
+            u, Y = ahead, side * beside - R_c
+            along = np.clip(u * cos_b + Y * sin_b, 0.0, L_c)
+            gaps.append(np.hypot(u - along * cos_b, Y - along * sin_b))
+        return smooth(np.minimum(*gaps), N_SMOOTH) - self.scene.probe.tip_radius
 
     @cached_property
     def stiff_depth(self) -> np.ndarray:
@@ -182,6 +214,11 @@ class Motion:
         assert self.pair is not None
         return smooth(self.pair.t, N_SMOOTH)
 
+    @property
+    def is_force_clear(self) -> bool:
+        """True if the noise of the force hides no begin of a contact."""
+        return self.force_onset is not None and self._force_limit <= _CLEAR
+
     @cached_property
     def force_onset(self) -> float | None:
         """When the force first leaves its zero, s; None if it never does."""
@@ -192,7 +229,11 @@ class Motion:
         t, first = np.unique(force.t[kept], return_index=True)
         values = force.force[kept, :2][first]
         size = np.hypot(*(values - np.median(values, axis=0)).T)
-        found = onset(t, values, max(_LEAST_FORCE, _FORCE_SHARE * float(size.max())))
+        least = max(_LEAST_FORCE, _FORCE_SHARE * float(size.max()))
+        rest = values - baseline(t, values)  # moving vehicles shake: noise at rest is less
+        least = max(least, 8.0 * float(np.median(np.hypot(*rest.T))) / 1.1774)
+        self._force_limit = least
+        found = onset(t, values, least)
         return None if found is None else found[0]
 
     @cached_property
@@ -203,7 +244,10 @@ class Motion:
             return seen
         if self.pair is not None and len(self.stiff_depth):
             depth, t = self.stiff_depth, self.smooth_times
+            # a tip that begins at the wall shows no begin of a contact
+            away = depth < -(_AWAY + 6.0 * self.pose_noise)
             entered = (depth[1:] > 0.0) & np.isfinite(depth[:-1]) & (np.diff(t) < MAX_GAP)
+            entered &= np.logical_or.accumulate(away)[:-1]
             if entered.any():
                 k = int(np.argmax(entered))
                 share = depth[k + 1] / (depth[k + 1] - min(depth[k], 0.0))
@@ -214,7 +258,7 @@ class Motion:
             t, first = np.unique(buffer.t[kept], return_index=True)
             length = self.scene.rest_length
             values = np.column_stack([buffer.stroke, length * buffer.torsion])[kept][first]
-            begin = onset(t, values, _LEAST_DEFLECTION)
+            begin = onset(t, values, LEAST_DEFLECTION)
             if begin is not None:
                 seen["buffer"] = begin[0]
         if self.force_onset is not None:
@@ -224,10 +268,17 @@ class Motion:
     @cached_property
     def near_time(self) -> float | None:
         """When the tip first comes as close to a wall as the noise of the poses, s; None if not."""
-        if self.scene is None or self.pair is None or not len(self.stiff_depth):
+        if self.scene is None or self.pair is None or not len(self.stiff_gap):
             return None
-        found = np.flatnonzero(self.stiff_depth > -(_NEAR + 2.0 * self.pose_noise))
+        found = np.flatnonzero(self.stiff_gap < _NEAR + 3.0 * self.pose_noise)
         return float(self.smooth_times[found[0]]) if found.size else None
+
+    def is_tracked(self, begin: float, end: float) -> bool:
+        """Return True if poses cover a time, s, without a gap."""
+        assert self.pair is not None
+        t = self.pair.t[(self.pair.t >= begin) & (self.pair.t <= end)]
+        steps = np.diff(np.concatenate([[begin], t, [end]]))
+        return float(steps.max(initial=0.0)) < _TRACKED
 
     def topic_of(self, name: str) -> str:
         """Return the topic of poses, buffer or force."""

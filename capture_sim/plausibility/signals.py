@@ -47,8 +47,8 @@ def smooth(values: np.ndarray, count: int) -> np.ndarray:
 def baseline(t: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return what a sensor (n, m) reads without an event, as known just before each time, (n, m).
 
-    It is the median of the medians of the last half second, in blocks of a tenth: slow drift is in
-    it, a touch is not.  The first block counts for itself.
+    It goes on along a line through the medians of the five tenths of a second before: slow drift is
+    in it, a touch is not.  The first tenth counts for itself.
     """
     n = len(t)
     if n < 2:
@@ -59,10 +59,20 @@ def baseline(t: np.ndarray, values: np.ndarray) -> np.ndarray:
     if n_blocks < 2:
         return np.broadcast_to(np.median(values, axis=0), values.shape)
     medians = np.median(values[: n_blocks * size].reshape(n_blocks, size, -1), axis=1)
-    padded = np.concatenate([np.repeat(medians[:1], _N_BLOCKS, axis=0), medians])
-    windows = np.lib.stride_tricks.sliding_window_view(padded, _N_BLOCKS, axis=0)
-    before = np.median(windows, axis=-1)  # (n_blocks + 1, m): that before each block
-    return np.asarray(before[np.minimum(np.arange(n) // size, n_blocks)])
+    level, rate = np.empty((2, n_blocks + 1, values.shape[1]))
+    level[0], rate[0] = medians[0], 0.0
+    for k in range(1, min(_N_BLOCKS, n_blocks + 1)):
+        level[k], rate[k] = medians[:k].mean(axis=0), 0.0
+    if n_blocks >= _N_BLOCKS:
+        windows = np.lib.stride_tricks.sliding_window_view(medians, _N_BLOCKS, axis=0)
+        steps = np.arange(_N_BLOCKS) - 0.5 * (_N_BLOCKS - 1)
+        level[_N_BLOCKS:] = windows.mean(axis=-1)
+        rate[_N_BLOCKS:] = windows @ (steps / (steps @ steps))
+    index = np.arange(n)
+    block = np.minimum(index // size, n_blocks)
+    # blocks from the middle of those before
+    ahead = (index + 0.5) / size - (block - 0.5 * _N_BLOCKS)
+    return np.asarray(level[block] + rate[block] * ahead[:, None])
 
 
 def onset(t: np.ndarray, values: np.ndarray, least: float) -> tuple[float, float] | None:

@@ -28,7 +28,8 @@ _STOP_MARGIN = 2e-3
     "position_units",
     Grade.REFUSED,
     compares="smallest distance between chaser and target",
-    threshold="> 10 times that at contact by the scene, or < half of it (without a scene: > 20 m)",
+    threshold="> 10 times that at contact by the scene, or always < half of it (without a scene: "
+    "> 20 m)",
     reason="mm makes it 1000, inch 39 times too large; a trial that misses stays below 10, and "
     "below a half the bodies overlap",
 )
@@ -37,8 +38,7 @@ def position_units(motion: Motion) -> Iterator[Said]:
     if motion.pair is None:
         return
     nearest = float(np.percentile(motion.distance, 2.0))
-    topic, pair = motion.pair_topic, motion.pair
-    largest = max(float(np.abs(pose[:, :2]).max()) for pose in (pair.chaser, pair.target))
+    topic = motion.pair_topic
     if motion.scene is None:
         if nearest > _LARGEST_BENCH:
             yield Said(
@@ -48,12 +48,11 @@ def position_units(motion: Motion) -> Iterator[Said]:
             )
         return
     expected = motion.contact_distance
-    if nearest <= _FAR * expected and nearest >= _NEAR * expected:
+    furthest = float(np.percentile(motion.distance, 90.0))
+    if nearest <= _FAR * expected and furthest >= _NEAR * expected:
         return
-    if nearest < _NEAR * expected and largest < 1e-9:
-        return  # both are at the origin: not tracked
-    unit = _unit_of(motion, nearest, expected)
-    if nearest < _NEAR * expected and not unit:
+    unit = _unit_of(motion, expected)
+    if furthest < _NEAR * expected and (furthest < 0.02 or not unit):
         return  # bodies_overlap
     look = f"positions look like {unit}" if unit else "positions are in no unit that is known"
     yield Said(
@@ -63,7 +62,7 @@ def position_units(motion: Motion) -> Iterator[Said]:
     )
 
 
-def _unit_of(motion: Motion, nearest: float, expected: float) -> str:
+def _unit_of(motion: Motion, expected: float) -> str:
     """Return the unit in which the distance is that at contact, within a factor of 2; or none."""
     assert motion.pair is not None
     of_c, of_t = motion.pair.chaser[:, :2], motion.pair.target[:, :2]
@@ -76,7 +75,6 @@ def _unit_of(motion: Motion, nearest: float, expected: float) -> str:
             distance = np.hypot(*(by_t * of_t - by_c * of_c).T)
             if 0.6 * expected < float(np.percentile(distance, 2.0)) < 3.0 * expected:
                 return unit + name
-    del nearest
     return ""
 
 

@@ -16,9 +16,10 @@ from capture_sim.errors import MessageError, RecordingError
 from capture_sim.messages import topics
 from capture_sim.messages.measurements import DetectorInput
 from capture_sim.messages.topics import Topic
+from capture_sim.plausibility.axes import FORCE_FRAMES, frame_of
 from capture_sim.recording.bag import Bag
 from capture_sim.run.lazy import Deferred, LazyMapping
-from capture_sim.run.series import QUANTITIES, Series, SeriesBySource, series_in
+from capture_sim.run.series import NO_SERIES, QUANTITIES, Series, SeriesBySource, series_in
 from capture_sim.run.verdict import TICK, LiveConditions, Received
 from capture_sim.scene.launch_plan import LaunchPlan, plan_launch
 from capture_sim.scene.parts import Scene
@@ -42,6 +43,7 @@ _VEHICLES = (
     ("chaser", topics.CHASER_POSE, topics.CHASER_ODOMETRY),
     ("target", topics.TARGET_POSE, topics.TARGET_ODOMETRY),
 )
+_BUFFERS = (topics.BUFFER_STATE, topics.JOINT_STATES)
 _BUFFER_QUANTITIES = ("stroke", "torsion", "stroke_rate", "torsion_rate")
 
 
@@ -69,7 +71,7 @@ def series_of(bag: Bag) -> SeriesBySource:
         add(vehicle, odometry, partial(_poses, bag, odometry))
         add(f"{vehicle}_rate", odometry, partial(_rates, bag, odometry))
     for column, quantity in enumerate(_BUFFER_QUANTITIES):
-        for topic in (topics.BUFFER_STATE, topics.JOINT_STATES):
+        for topic in _BUFFERS:
             add(quantity, topic, partial(_buffer, bag, topic, column))
     for topic, quantity in (
         (topics.CONTACT_WRENCH, "tip_force"),
@@ -175,10 +177,45 @@ def _buffer(bag: Bag, topic: Topic, column: int) -> Series:
 
 
 def _force(bag: Bag, topic: Topic) -> Series:
-    """Return the force on the tip, (n, 2), N; the load cell reads the opposite."""
+    """Return the force on the tip, (n, 2), N; the load cell reads the opposite.
+
+    A load cell's is in the cone's axes, any other in the tip's; the poses turn it there from the
+    axes of its ``frame_id``.  Empty if these are unknown.
+    """
     sign = -1.0 if topic is topics.LOAD_CELL else 1.0
     names = ("wrench.force.x", "wrench.force.y")
-    return bag.series(topic, lambda c: sign * np.stack([c[name] for name in names], axis=1))
+    series = bag.series(topic, lambda c: sign * np.stack([c[name] for name in names], axis=1))
+    frame_ids = tuple(dict.fromkeys(bag.readable(topic)[0]["header.frame_id"].tolist()))
+    axes = "target/cone" if topic is topics.LOAD_CELL else "chaser/tip"
+    frame = frame_of(frame_ids) if any(frame_ids) else axes
+    if frame is None:
+        return NO_SERIES._replace(values=np.zeros((0, 2)))
+    turns = [(1.0, name) for name in FORCE_FRAMES[frame]]
+    turns += [(-1.0, name) for name in FORCE_FRAMES[axes]]
+    angle = np.zeros(series.t.size)
+    for sign, name in turns:
+        if (-sign, name) not in turns:
+            angle += sign * _angle(bag, name, series.t)
+    if not angle.any():
+        return series
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = series.values.T
+    return series._replace(values=np.stack([c * x - s * y, s * x + c * y], axis=1))
+
+
+def _angle(bag: Bag, name: str, t: np.ndarray) -> np.ndarray:
+    """Return an angle that turns forces, (n,), rad, at times (n,), s; 0 if it was not measured."""
+    if name == "torsion":
+        column = _BUFFER_QUANTITIES.index(name)
+        found = [_buffer(bag, b, column) for b in _BUFFERS if bag.holds(b)]
+    else:
+        of_vehicle = next(topics for vehicle, *topics in _VEHICLES if vehicle == name)
+        found = [_poses(bag, topic) for topic in of_vehicle if bag.holds(topic)]
+    for series in found:
+        if series.t.size:
+            values = series.values if series.values.ndim == 1 else series.values[:, _HEADING]
+            return np.interp(t, series.t, values)
+    return np.zeros(t.size)
 
 
 def _magnitude(bag: Bag, topic: Topic) -> Series:

@@ -26,7 +26,9 @@ from capture_sim.dynamics.samples import (
 )
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.plausibility.measured import Measured
+from capture_sim.plausibility.motion import LEAST_DEFLECTION
 from capture_sim.plausibility.rules import Doubt, Grade
+from capture_sim.plausibility.signals import onset
 from capture_sim.run.doubts import Checked, doubts_of, refuse, remaining
 from capture_sim.run.frames import Table, events_frame, samples_frame, topic_frame, touches_frame
 from capture_sim.run.lazy import Deferred, Lazy
@@ -67,6 +69,8 @@ if TYPE_CHECKING:
     from capture_sim.scene.launch_plan import LaunchPlan
     from capture_sim.scene.parts import Detector, Scene
 
+#: A force and the buffer show the same contact within this, s.
+MAX_CONFIRMED = 0.1
 #: Source of located touches and events: the topic that carries them.
 EVENTS = "bench/event"
 
@@ -263,7 +267,10 @@ class Run:
 
     @cached_property
     def first_contact(self) -> FirstContact | None:
-        """The first contact: the located event, else of ``bench/contact``, else of a force."""
+        """The first contact: the located event, else of ``bench/contact``, a force or the buffer.
+
+        A force that begins where poses allow no contact does not count.
+        """
         for event in self.logged_events:
             if event.kind is EventKind.TOUCH:
                 return FirstContact(event.t, EVENTS)
@@ -271,11 +278,39 @@ class Run:
             begun = self.series["touches_begun"][source]
             touching = np.flatnonzero((in_touch.values != 0.0) | (begun.values > 0.0))
             return FirstContact(float(in_touch.t[touching[0]]), source) if touching.size else None
+        is_doubted = any(doubt.rule.name == "force_without_contact" for doubt in self.doubts)
         for quantity in ("tip_force", "cone_force"):
             for source, force in self.series.get(quantity, {}).items():
-                first = first_above(force.t, force.values)
-                return None if first is None else FirstContact(first, source)
-        return None
+                if force.t.size and not is_doubted:
+                    first = self._contact_in(force)
+                    return None if first is None else FirstContact(first, source)
+        return self._contact_of_buffer
+
+    def _contact_in(self, force: Series) -> float | None:
+        """Return when a force first shows a contact, s; None if it never does.
+
+        The noise of a moving bench is above that at rest: of a rig, the buffer confirms the first
+        sample above the noise.
+        """
+        first = first_above(force.t, force.values)
+        buffer = self._contact_of_buffer if self.evidence else None
+        if first is None or buffer is None or abs(first - buffer.t) < MAX_CONFIRMED:
+            return first
+        size = np.hypot(*(force.values - np.median(force.values, axis=0)).T)
+        near = np.abs(force.t - buffer.t) < MAX_CONFIRMED
+        return buffer.t if size[near].max(initial=0.0) > 0.5 * size.max() else first
+
+    @cached_property
+    def _contact_of_buffer(self) -> FirstContact | None:
+        """The first deflection of the buffer; None without, and in an exact run."""
+        stroke, torsion = self.measured("stroke"), self.measured("torsion")
+        if self.is_exact or stroke.t.size < MIN_SAMPLES or torsion.t.size != stroke.t.size:
+            return None
+        length = 0.2 if self.given_scene is None else self.given_scene.rest_length
+        moved = np.column_stack([stroke.values, length * torsion.values])
+        found = onset(stroke.t, moved, LEAST_DEFLECTION)
+        source = next(iter(self.series["stroke"]))
+        return None if found is None else FirstContact(found[0], source)
 
     @cached_property
     def resolved_touches(self) -> tuple[Touches | None, str]:

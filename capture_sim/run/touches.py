@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from capture_sim.plausibility.signals import baseline
 from capture_sim.scene.parts import Cone
 
 #: Samples that a touch must have above the threshold for its peak to be known to 1 %.
@@ -31,6 +32,9 @@ _BELOW_NOISE = 2.0
 #: Points of that curve per sample, of which the largest is the peak: of a half sine through four
 #: samples it is low by 2e-4 at most.
 _POINTS = 20
+#: A zero that moves by this many standard deviations of its means, and this part of the noise,
+#: drifts.
+_DRIFT_DEVIATIONS, _LEAST_DRIFT = 6.0, 0.5
 #: A touch began anywhere between two samples: an interval is this many standard deviations.
 _UNIFORM = math.sqrt(12.0)
 #: The trapezoidal rule over a touch by Hertz's law of n samples is wrong by so much times n^-2.5
@@ -132,17 +136,54 @@ def unseen_impact(travel: float) -> str:
 class Quiet(NamedTuple):
     """What a force sensor reads before anything touches."""
 
-    bias: np.ndarray  # (2,), N
+    bias: np.ndarray  # (2,), N; (n, 2) if it drifts
     sigma: float  # standard deviation of a component, N
     threshold: float  # magnitude that noise passes in one of 1000 recordings, N
 
 
-def quiet_before_contact(force: np.ndarray) -> Quiet | None:
+def quiet_before_contact(t: np.ndarray, force: np.ndarray) -> Quiet | None:
     """Return bias, noise and threshold of a force (n, 2), N; None when there is too little of it.
 
-    Nothing touches at its beginning.  The magnitude of white noise of two components has
-    Rayleigh's distribution: it passes k sigma with the chance exp(-k^2 / 2).
+    Nothing touches at its beginning, and its zero may drift: slowly, unlike a touch.  The magnitude
+    of white noise of two components has Rayleigh's distribution: it passes k sigma with the chance
+    exp(-k^2 / 2).
     """
+    zero = _drifting_zero(t, force)
+    if zero is None:
+        return _quiet(force)
+    quiet = _quiet(force - zero)
+    return None if quiet is None else quiet._replace(bias=zero + quiet.bias)
+
+
+def _drifting_zero(t: np.ndarray, force: np.ndarray) -> np.ndarray | None:
+    """Return the zero of a force that drifts, (n, 2), N, times (n,), s; None if it does not.
+
+    Before the contact it is a running median.  From there on it goes on along a line.
+    """
+    zero = baseline(t, force)
+    quiet = _quiet(force - zero)
+    if quiet is None:
+        return None
+    size = np.hypot(*(force - zero - quiet.bias).T)
+    found = above(size, quiet.threshold)
+    first = found[0].start if found else len(t)
+    quarter = first // 4
+    if quarter < _QUIET:
+        return None
+    moved = force[first - quarter : first].mean(axis=0) - force[:quarter].mean(axis=0)
+    # both means have noise; a drift that is less than a part of the noise changes nothing
+    limit = max(_DRIFT_DEVIATIONS * math.sqrt(2.0 / quarter), _LEAST_DRIFT) * quiet.sigma
+    if float(np.abs(moved).max()) <= max(limit, 1e-9):
+        return None
+    zero = zero.copy()
+    if first < len(t):
+        rate = moved / (t[first - quarter // 2 - 1] - t[quarter // 2])
+        zero[first:] = zero[first] + np.outer(t[first:] - t[first], rate)
+    return zero
+
+
+def _quiet(force: np.ndarray) -> Quiet | None:
+    """Return bias, noise and threshold of a force (n, 2), N, whose zero does not drift."""
     n = len(force)
     until = max(_QUIET, n // 20)
     if n < until:
@@ -169,7 +210,7 @@ def above(size: np.ndarray, threshold: float) -> list[slice]:
 
 def first_above(t: np.ndarray, force: np.ndarray) -> float | None:
     """Return when a force (n, 2) first passes its noise, s; None if it never does."""
-    quiet = quiet_before_contact(force)
+    quiet = quiet_before_contact(t, force)
     if quiet is None:
         return None
     found = above(np.hypot(*(force - quiet.bias).T), quiet.threshold)
@@ -208,7 +249,7 @@ def in_force(
     nothing touches at its beginning.  With the tip's attitude (n,), rad, in the cone, peak and
     impulse are those of the normal force, else those of the magnitude, friction included.
     """
-    quiet = quiet_before_contact(force)
+    quiet = quiet_before_contact(t, force)
     if quiet is None:
         return None
     net = force - quiet.bias

@@ -30,7 +30,7 @@ def test_noise_alone_is_no_contact():
     rng = np.random.default_rng(24)
     for _ in range(50):
         force = rng.normal(size=(4000, 2)) * 3.0 + (20.0, -7.0)
-        quiet = quiet_before_contact(force)
+        quiet = quiet_before_contact(np.arange(4000) * 1e-3, force)
         assert quiet.sigma == pytest.approx(3.0, rel=0.1)
         assert not above(np.hypot(*(force - quiet.bias).T), quiet.threshold)
 
