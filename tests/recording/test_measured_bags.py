@@ -222,7 +222,10 @@ def test_touches_are_those_that_the_load_cell_shows_everywhere(recorded, tmp_pat
             phase = (seconds - 1 + nanoseconds * 1e-9 - begin) / lasted
             size = peak * math.sin(math.pi * phase) if 0.0 < phase < 1.0 else 0.0
             force = struct.pack("<6d", 0.8 * size, 0.6 * wall * size, 0.0, 0.0, 0.0, 0.0)
-            topic, data = "/load_cell/wrench", data[:-48] + force
+            # of the same size with the padding behind it
+            head = data[:-48].replace(b"\x0b\0\0\0chaser/tip\0\0", b"\x0c\0\0\0target/cone\0")
+            assert b"target/cone" in head
+            topic, data = "/load_cell/wrench", head + force
         yield topic, "cdr", data
 
     path = copied(recorded, tmp_path / "rig.mcap", topics=STANDARD, change=pushed)
