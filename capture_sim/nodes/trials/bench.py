@@ -44,6 +44,14 @@ TICK = 0.02
 #: It gets as long to read them before it decides by them, s (wall).
 MAX_LATENESS = 0.1
 BOOL = "std_msgs/msg/Bool"
+#: Examples that make PoseStamped of a driver's type.
+RELAYS = {
+    "geometry_msgs/msg/TransformStamped": "relay_transform.py",
+    "tf2_msgs/msg/TFMessage": "relay_tf.py",
+    "geometry_msgs/msg/PoseArray": "relay_pose_array.py",
+    "motion_capture_tracking_interfaces/msg/NamedPoseArray": "relay_rigid_bodies.py",
+    "mocap4r2_msgs/msg/RigidBodies": "relay_rigid_bodies.py",
+}
 #: Name of a node that DDS does not know, or not any more.
 UNKNOWN = "_NODE_NAME_UNKNOWN_"
 
@@ -314,7 +322,10 @@ def _mismatch(topic: Topic, publisher: Any) -> str:
     Reliability is no reason: a topic of a driver is read as it is published.
     """
     if publisher.topic_type != topic.type_name:
-        return f"{full_name(publisher)} publishes {publisher.topic_type}, not {topic.type_name}"
+        text = f"{full_name(publisher)} publishes {publisher.topic_type}, not {topic.type_name}"
+        relay = RELAYS.get(publisher.topic_type)
+        is_pose = topic.type_name == "geometry_msgs/msg/PoseStamped"
+        return f"{text}: relay it, as in examples/{relay}" if relay and is_pose else text
     wanted = qos_of(topic)
     wanted.reliability = publisher.qos_profile.reliability
     reason = why_incompatible(publisher.qos_profile, wanted)
