@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Sequence
 from dataclasses import fields
 
@@ -11,6 +10,7 @@ from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.commands.inputs import add_geometry, add_remaps, open_run
 from capture_sim.commands.output import echo
 from capture_sim.detection.criteria import CaptureStatus
+from capture_sim.detection.nearest import in_words
 from capture_sim.errors import SceneError, one_line
 from capture_sim.run.run import detect
 from capture_sim.run.verdict import TICK, with_criteria
@@ -71,10 +71,10 @@ def run(options: argparse.Namespace) -> int:
             label = status.label
     verdict = statuses[-1]
     since = _since(verdict)
-    # the detector sees samples; the run itself may have come nearer between them
-    nearest = f"closest approach in the samples {verdict.nearest_distance * 1e3:.3f} mm"
-    if not math.isfinite(verdict.nearest_distance):
-        nearest = "no position of the tip"
+    nearest = in_words(verdict.nearest_distance, verdict.nearest_deviation)
+    if recorded.located_extremes is not None and not verdict.nearest_deviation:
+        # the detector sees samples; the run itself may have come nearer between them
+        nearest = f"closest approach {recorded.loads['nearest_distance'] * 1e3:.3f} mm"
     echo(
         f"verdict: {verdict.label} since {since:.3f} s; {nearest}, {len(statuses) - 1} measurements"
     )

@@ -77,6 +77,8 @@ _OUTSIDE_AGAIN = "but outside again"
 class CaptureStatus(NamedTuple):
     """The detector's view; fields and units as in msg/CaptureStatus.msg.
 
+    ``nearest_deviation`` is the standard error of ``nearest_distance``, see
+    :attr:`capture_sim.detection.nearest.ClosestApproach.estimate`.
     ``not_used``: at the end of a run, the numbers of measurements that were not used, by source and
     reason, with the likely cause where they are many.
     """
@@ -93,6 +95,7 @@ class CaptureStatus(NamedTuple):
     time_in_state: float
     reason: str
     not_used: str = ""
+    nearest_deviation: float = 0.0
 
     @property
     def left_again(self) -> bool:

@@ -42,6 +42,7 @@ from capture_sim.detection.measurements import (
     Source,
     Values,
 )
+from capture_sim.detection.nearest import ClosestApproach
 from capture_sim.detection.noise import NoiseEstimate, third_difference
 from capture_sim.detection.smoother import MeasuredTip, TipPath
 from capture_sim.dynamics.model.trig import wrapped_angle
@@ -138,6 +139,7 @@ class CaptureDetector:
             keep=_LONGEST_REST * part.min_still_time,
         )
         self._place: Place | None = None  # the last that was evaluated
+        self._closest = ClosestApproach()
         self._t_rest_end = -math.inf  # s, the last instant before the approach
         self._t_gap_end = -math.inf  # s, the first instant after the last gap
         self._is_contact_unseen = False  # the tip may have met the cone in a gap
@@ -360,6 +362,7 @@ class CaptureDetector:
                 speed, deviation = self._path.rate_over(begin, place.t)
                 is_still = is_still or speed + GUARD * deviation < criteria.still_speed
         _decide(criteria, self._memory, place, is_still, self._corner_time, self._outside_time)
+        self._note_closest(place)
         passed = self._memory.cause in (Cause.PASSED_THROAT, Cause.PASSED_BESIDE)
         if before is not None and is_after_gap and passed and self._memory.since == place.t:
             # it passed BE in the gap: when is interpolated, as the place of the crossing is
@@ -367,6 +370,18 @@ class CaptureDetector:
             self._memory.since = before.t + share * (place.t - before.t)
         self._doubt_miss()
         self._place = place
+
+    def _note_closest(self, place: Place) -> None:
+        """Update the closest approach, and name it in the reason of a verdict that came of it."""
+        memory = self._memory
+        if not memory.has_approached:
+            self._closest = ClosestApproach()  # the approach has not begun
+        if place.size > 1:
+            self._closest.add(self._path.halves(place.t))
+        else:
+            self._closest.add_exact(memory.distance)
+        if memory.since == place.t and memory.cause in (Cause.RETREATED, Cause.MOVED_AWAY):
+            memory.value, _ = self._closest.estimate
 
     def _note_jump(self, place: Place) -> None:
         """End the evaluation if a vehicle has jumped to a new place during the trial."""
@@ -480,6 +495,7 @@ class CaptureDetector:
         is_end: bool = False,
     ) -> CaptureStatus:
         rate, place, memory = tip.rate, self._place, self._memory
+        nearest, deviation = self._closest.estimate
         if place is not None and (rate is None or place.size > 1):
             rate = (place.axial_rate, place.lateral_rate)
         return CaptureStatus(
@@ -491,10 +507,11 @@ class CaptureDetector:
             lateral_offset=tip.place[1],
             relative_attitude=_wrapped_angle(observation.chaser[2] - observation.target[2]),
             relative_speed=math.nan if rate is None else math.hypot(*rate),
-            nearest_distance=float(memory.nearest),
+            nearest_distance=nearest,
             time_in_state=observation.t - float(memory.since),
             reason=reason(self._criteria, int(memory.cause), float(memory.value)),
             not_used=self.counts.text if is_end else "",
+            nearest_deviation=deviation,
         )
 
 

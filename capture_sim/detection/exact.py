@@ -146,7 +146,7 @@ class _Words:
         if self._last[0] != (cause, value):
             self._last = (cause, value), reason(self._criteria, cause, value)
         final = is_over or _STATES[state].is_verdict
-        return CaptureStatus._make((t, _STATES[state], final, *numbers, self._last[1], ""))
+        return CaptureStatus._make((t, _STATES[state], final, *numbers, self._last[1], "", 0.0))
 
 
 class ExactDetector:

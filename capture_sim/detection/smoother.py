@@ -18,12 +18,17 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.detection.criteria import Place
+from capture_sim.detection.nearest import Half
 from capture_sim.detection.noise import MIN_DIFFERENCES, NoiseEstimate, third_difference
 
 #: Standard deviation of a fitted position that the window aims at, as a share of the radius.
 ACCURACY = 0.06
 #: A measurement further from the fit than this many standard deviations is left out.
 OUTLIER = 5.0
+#: Smallest number of measurements for a parabola through each half of them.
+_MIN_SIZE = 8
+#: Standard deviations by which the centres of a window and of half of it may differ.
+_AGREEMENT = 1.5
 #: Smallest interval between fitted positions, s: closer ones share nearly all measurements.
 MIN_FIT_INTERVAL = 0.003
 
@@ -34,6 +39,35 @@ class MeasuredTip(NamedTuple):
     place: tuple[float, float]  # m
     rigid: tuple[float, float]  # with the buffer at rest, which moves smoothly, m
     rate: tuple[float, float] | None  # of ``place``, m/s; None if not measured
+
+
+class _Window(NamedTuple):
+    """Measurements near an instant, and the parabola through them."""
+
+    first: int  # number of the first measurement
+    tips: np.ndarray  # (n, 2), m
+    degree: int
+    basis: np.ndarray  # (n, degree + 1)
+    fitted: np.ndarray  # (n, 2), m
+    centre: np.ndarray  # (2,), m, at the instant
+    gain: float  # variance of the centre, by that of a measurement
+
+    @classmethod
+    def of(cls, first: int, times: np.ndarray, tips: np.ndarray) -> _Window:
+        """Fit the measurements; ``times``, (n,), s, count from the instant."""
+        n = len(times)
+        degree = 2 if n >= _MIN_SIZE else max(min(n // 2 - 1, 1), 0)
+        basis = np.vander(times / max(float(np.abs(times).max()), 1e-9), degree + 1, True)
+        inverse = np.linalg.pinv(basis)
+        coefficients = inverse @ tips
+        gain = float(inverse[0] @ inverse[0])
+        return cls(first, tips, degree, basis, basis @ coefficients, coefficients[0], gain)
+
+    def is_noise(self, sigma: np.ndarray) -> bool:
+        """Return True if the deviations from the parabola are noise, of (2,) m."""
+        square = np.minimum(np.square((self.tips - self.fitted) / sigma), OUTLIER**2)
+        dof = 2 * max(len(self.tips) - self.degree - 1, 1)
+        return bool(square.sum() / dof - 1.0 <= 3.0 * math.sqrt(2.0 / dof))
 
 
 class TipPath:
@@ -59,6 +93,7 @@ class TipPath:
         self._interval = 0.0
         self._count = 0
         self._t_returned = -math.inf  # stamp of the last place that was returned
+        self._n_forgotten = 0  # measurements before the first that is kept
 
     @property
     def deviation(self) -> tuple[float, float]:
@@ -130,6 +165,44 @@ class TipPath:
         numbers = *coefficients[0].tolist(), *rates.tolist(), *variance.tolist()
         return Place._make((t, *numbers, n))
 
+    def halves(self, t: float) -> tuple[Half, Half]:
+        """Return the place at ``t`` by every other measurement, and by those between.
+
+        The window is halved until a parabola explains all measurements in it: no touch is in it.
+        """
+        sigma = np.maximum(self._deviation, 1e-12)
+        half_window, narrower = self._half_window, self._window(t, 0.5 * self._half_window)
+        window = self._window(t, half_window)
+        while len(narrower.tips) >= _MIN_SIZE:
+            # the wider window's own noise is part of the narrower one's
+            spread = math.sqrt(max(narrower.gain - window.gain, 0.0)) * sigma
+            bias = np.abs(narrower.centre - window.centre)
+            if not window.is_noise(sigma) or (bias > _AGREEMENT * spread).any():
+                half_window *= 0.5
+                window, narrower = narrower, self._window(t, 0.5 * half_window)
+            else:
+                break
+        i, n, basis, degree = window.first, len(window.tips), window.basis, window.degree
+        tips, square = window.tips, np.square((window.tips - window.fitted) / sigma)
+        is_used = (square <= OUTLIER**2).all(axis=1)
+        is_even = (np.arange(i, i + n) + self._n_forgotten) % 2 == 0
+        found = []
+        for part in (is_even, ~is_even):
+            chosen = part & is_used if (part & is_used).sum() > degree else part
+            if not chosen.any():
+                chosen = np.ones(n, dtype=bool)
+            inverse = np.linalg.pinv(basis[chosen])[0]
+            axial, lateral = inverse @ tips[chosen]
+            variances = float(inverse @ inverse) * np.square(sigma)
+            found.append(Half(float(axial), float(lateral), *variances.tolist()))
+        return found[0], found[1]
+
+    def _window(self, t: float, half_window: float) -> _Window:
+        i = bisect_left(self._t, t - half_window)
+        k = bisect_right(self._t, t + half_window)
+        tips = np.array([tip.place for tip in self._tips[i:k]])
+        return _Window.of(i, np.array(self._t[i:k]) - t, tips)
+
     def rate_over(self, begin: float, end: float) -> tuple[float, float]:
         """Return the mean speed over an interval and its standard deviation, m/s."""
         i, k = bisect_left(self._t, begin), bisect_right(self._t, end)
@@ -169,6 +242,7 @@ class TipPath:
     def _forget(self) -> None:
         while self._t[0] < self._t[-1] - self._keep:
             del self._t[0], self._tips[0]
+            self._n_forgotten += 1
 
     def _completed(self, newest: float, wait: float) -> list[Place]:
         """Return the places that need no measurement later than ``newest``, s."""

@@ -381,7 +381,7 @@ class DetectorTelemetry(_StatusStream):
     stream, changes, frame = topics.CAPTURE_STATUS, topics.CAPTURE_VERDICT, CONE_FRAME
     names = (
         *("state", "final", "distance", "axial_offset", "lateral_offset", "relative_attitude"),
-        *("relative_speed", "nearest_distance", "time_in_state"),
+        *("relative_speed", "nearest_distance", "time_in_state", "nearest_deviation"),
     )
 
     def begin(self, criteria: Detector) -> Sent:

@@ -96,6 +96,22 @@ def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
     return loads
 
 
+#: Key of the standard error of the closest approach in results.
+NEAREST_ERROR = "nearest_distance_error"
+
+
+def with_closest(loads: dict[str, Any], distance: float, deviation: float) -> dict[str, Any]:
+    """Return loads with an estimate of the closest approach, m, by its standard error.
+
+    That is None if noise hides it; the time of an estimate is not known.
+    """
+    known = math.isfinite(distance) and math.isfinite(deviation)
+    found = {**loads, NEAREST_ERROR: deviation if known else None}
+    for key in ("nearest_distance", "nearest_distance_before_latch"):
+        found[key], found[f"{key}_time"] = distance if known else None, None
+    return found
+
+
 @functools.cache
 def _columns_of_loads() -> list[tuple[Load, list[str], list[tuple[int, int]]]]:
     """Return each load, its keys, and the positions of its extremes in EXTREMES and their times."""

@@ -32,7 +32,7 @@ from capture_sim.plausibility.signals import onset
 from capture_sim.run.doubts import Checked, doubts_of, refuse, remaining
 from capture_sim.run.frames import Table, events_frame, samples_frame, topic_frame, touches_frame
 from capture_sim.run.lazy import Deferred, Lazy
-from capture_sim.run.loads import loads_of, sampled_extremes
+from capture_sim.run.loads import loads_of, sampled_extremes, with_closest
 from capture_sim.run.origin import Origin, scene_origin
 from capture_sim.run.reconstruction import (
     events_of,
@@ -458,7 +458,13 @@ class Run:
         ``_time``, the time of that load.  :data:`capture_sim.run.loads.LOADS` lists names
         and units.
         """
-        return loads_of(self.extremes, self.touches)
+        loads = loads_of(self.extremes, self.touches)
+        if self.is_exact or self.located_extremes is not None or not self.statuses:
+            return loads
+        last = self.statuses[-1]
+        if last.nearest_deviation == 0.0:
+            return loads
+        return with_closest(loads, last.nearest_distance, last.nearest_deviation)
 
     @property
     def verdict(self) -> str:

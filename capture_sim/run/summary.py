@@ -14,7 +14,7 @@ import numpy as np
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.dynamics.samples import EXTREMES, TOUCH, Event, Extremes
 from capture_sim.run.first_contact import first_cluster, first_touch, impact_speed
-from capture_sim.run.loads import if_measured, loads_of
+from capture_sim.run.loads import NEAREST_ERROR, if_measured, loads_of
 from capture_sim.run.series import at_rate
 
 
@@ -62,6 +62,7 @@ def summarize(
         "first_contact_touches": int(first.size),
         "first_contact_peak_force": if_measured(first["peak_force"].max()) if has_contact else None,
         "normal_impulse": if_measured(touches["impulse"].sum()),
+        NEAREST_ERROR: 0.0,
         **loads,
         "loads_from": loads_from,
         "energy_residual": if_measured(energy_residual),
@@ -176,7 +177,7 @@ def _number_keys() -> frozenset[str]:
     of_runs = {
         *("impact_speed", "first_contact_time", "first_contact_duration", "energy_residual"),
         *("first_contact_touches", "first_contact_peak_force", "normal_impulse"),
-        *("wall_time", "real_time_factor"),
+        *("wall_time", "real_time_factor", NEAREST_ERROR),
     }
     nothing = Extremes(np.zeros(1, EXTREMES)[0], None)
     return frozenset(of_runs | loads_of(nothing, np.zeros(0, TOUCH)).keys())

@@ -7,19 +7,24 @@ quantities at the rate of ``bench/state``, a bench's bag only at that of its sen
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.errors import RecordingError
+from capture_sim.detection.criteria import CaptureStatus
+from capture_sim.errors import CaptureSimError, RecordingError
 from capture_sim.run.first_contact import first_cluster
 from capture_sim.run.loads import LOADS
 from capture_sim.run.run import EVENTS, Run
 from capture_sim.run.series import PARTS, Part, Series
 from capture_sim.run.touches import TICK, Touches
 
+#: Topic of the detector's statuses.
+CAPTURE_STATUS = "capture/status"
 #: Name of the tip's distance to BE.
 DISTANCE = "distance"
 #: Quantities that are compared.
@@ -111,7 +116,6 @@ def characteristics(side: Side, *, sampled: bool = False) -> dict[str, Figure]:
         "max_axial_stroke_in": ("stroke", lambda x: -x.min()),
         "max_axial_stroke_out": ("stroke", lambda x: x.max()),
         "max_torsion": ("torsion", lambda x: np.abs(x).max()),
-        "nearest_distance": (DISTANCE, lambda x: x.min()),
     }
     for load in LOADS:
         quantity, value_in = measured.get(load.key, ("", None))
@@ -122,7 +126,29 @@ def characteristics(side: Side, *, sampled: bool = False) -> dict[str, Figure]:
         if not side.loads and value_in is not None and quantity in side.series:
             value = float(value_in(side.series[quantity].values))
             figures[name] = Figure(value * load.factor, side.sources[quantity])
+        if not side.loads and load.key == "nearest_distance" and (closest := _closest(side)):
+            figures[name] = closest._replace(value=closest.value * load.factor)
     return figures
+
+
+def _closest(side: Side) -> Figure | None:
+    """Return the closest approach, m: of exact samples, else as the detector estimates it.
+
+    None if it is not known, or if noise hides it.
+    """
+    run, source = side.run, side.sources.get(DISTANCE, "")
+    if source and CAPTURE_STATUS not in source:
+        return Figure(float(side.series[DISTANCE].values.min()), source)
+    statuses: Sequence[CaptureStatus] = ()
+    with suppress(CaptureSimError):  # a bag without buffer or scene
+        statuses = run.statuses
+    if not statuses or not math.isfinite(statuses[-1].nearest_distance):
+        return None
+    distance, deviation = statuses[-1].nearest_distance, statuses[-1].nearest_deviation
+    if math.isinf(deviation):
+        return None
+    error = f", +- {deviation * 1e3:.2f} mm" if deviation else ""
+    return Figure(distance, f"{CAPTURE_STATUS if run.reported_statuses else 'poses'}{error}")
 
 
 def _sources(run: Run) -> dict[str, dict[str, Series]]:
