@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from capture_sim.errors import RecordingError
 from capture_sim.recording.bag_folder import bag_files
-from capture_sim.recording.log_times import settle
+from capture_sim.recording.log_times import JUMP, settle
 from capture_sim.recording.records import UNPACKED_RATIO, Damage, RecordContents
 from capture_sim.recording.scan import scan
 
@@ -70,13 +69,28 @@ def read_contents(path: Path, ratio: float = UNPACKED_RATIO) -> Contents:
     if len(errors) == len(files):
         raise errors[0]
     _note_rejected(contents, rejected)
-    contents.doubts = (*doubts, *settle(contents.log_times))
-    for topic, times in contents.log_times.items():
-        if any(later < time for time, later in pairwise(times)):
-            order = sorted(range(len(times)), key=times.__getitem__)
-            contents.log_times[topic] = [times[i] for i in order]
-            contents.messages[topic] = [contents.messages[topic][i] for i in order]
+    contents.doubts = (*doubts, *_put_in_order(contents))
     return contents
+
+
+def _put_in_order(contents: Contents) -> list[str]:
+    """Sort the messages of each topic by their log times; return what is odd in these."""
+    lines: list[str] = []
+    used = {topic: sorted(times) for topic, times in contents.log_times.items() if times}
+    low, high = (
+        min((t[0] for t in used.values()), default=0),
+        max((t[-1] for t in used.values()), default=0),
+    )
+    if used and (low == 0 or high - low > JUMP):
+        lines = settle(contents.log_times)
+        used = {topic: sorted(contents.log_times[topic]) for topic in used}
+    for topic, ordered in used.items():
+        times = contents.log_times[topic]
+        if times != ordered:
+            order = sorted(range(len(times)), key=times.__getitem__)
+            contents.messages[topic] = [contents.messages[topic][i] for i in order]
+            contents.log_times[topic] = ordered
+    return lines
 
 
 def _note_rejected(contents: Contents, rejected: Mapping[tuple[str, str], int]) -> None:
