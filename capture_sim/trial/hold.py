@@ -128,6 +128,8 @@ class HoldPublishers:
 
         ``n_nameless``: publishers whose node is not known.
         """
+        if now > self._heard_since + MEETING_TIME:  # it has left, and was named if it could be
+            self._heard_since = math.inf
         self._others = tuple(sorted((Counter(nodes) - Counter([self._own])).elements()))
         self._nameless_since = min(self._nameless_since, now) if n_nameless else math.inf
         self.is_disputed = self.is_disputed or bool(self._others) or n_nameless > 0

@@ -235,6 +235,8 @@ def test_a_true_that_is_not_the_launchers_own_is_another_hand():
         assert publishers.conflict(0.6) == ""  # its name may come
         text = "launcher/hold: published by /launcher and by a node without a name"
         assert publishers.conflict(2.0).startswith(text) is foreign
+        publishers.note(["/launcher"], 0, 2.0)
+        assert publishers.refusal(2.0) == ""  # it has left
         publishers.note(["/launcher", "/b"], 0, 0.6)
         assert "published by /launcher and by /b: must be one node" in publishers.conflict(0.6)
 

@@ -123,7 +123,7 @@ def test_one_wild_stamp_is_no_step():
     monitor = SourceMonitor()
     for k in range(400):
         if k == 200:
-            monitor.mark(2.0)
+            monitor.mark()
         monitor.add(round(1e7 * k) + (3_600_000_000_000 if k == 300 else 0), (float(k),), 0.01 * k)
         assert monitor.clock_step() == 0.0
 
@@ -132,9 +132,20 @@ def test_late_messages_are_no_step():
     monitor = SourceMonitor()
     for k in range(400):
         if k == 200:
-            monitor.mark(2.0)
+            monitor.mark()
         monitor.add(round(1e7 * k), (float(k),), 0.01 * k + (2.0 if k >= 300 else 0.0))
         assert monitor.clock_step() == 0.0
+
+
+def test_a_bench_faster_than_time_has_no_step_where_its_clock_is_waived():
+    for waived in ((), ("machine_clock",)):
+        interlocks = Interlocks(TrialLimits(), TOPICS, waived=waived)
+        for k in range(300):
+            if k == 100:
+                interlocks.note_hold(False, 1.0)
+            for topic in NAMES.values():
+                interlocks.add(topic, round(5e7 * k), (0.1 * k, 0.0, 0.0), 0.01 * k)
+        assert bool(interlocks.clock_steps()) is (not waived)
 
 
 @pytest.mark.parametrize("begin", [1.0, CONTACT - 0.1, CONTACT + 0.2])
