@@ -122,11 +122,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _simulated(run: Run) -> Run:
-    """Return the scene of a run, simulated."""
-    from capture_sim.run.simulation import simulate
+    """Return the scene of a run, simulated, with the thrust of the run."""
+    from capture_sim.run.simulation import applied_again, simulate
 
     compile_first()
-    return simulate(run.scene)
+    return simulate(run.scene, control=applied_again(run) if run.is_exact else None)
 
 
 def _print_agreement(found: Agreement, recorded: Run) -> None:

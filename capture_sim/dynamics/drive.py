@@ -15,7 +15,8 @@ from capture_sim.dynamics.samples import (
 )
 from capture_sim.dynamics.thrust import Actuation, Commands
 from capture_sim.errors import SceneError, SimulationError
-from capture_sim.scene.quantities import refuse
+from capture_sim.scene.parts import Thruster, Thrusters
+from capture_sim.scene.quantities import LARGEST, refuse
 
 #: Samples of one call into the engine; the overhead of a call is negligible.
 BLOCK = 4096
@@ -48,6 +49,8 @@ class Control:
         and moment (N m) for the chaser and for the target, or None for no new command.
     rate
         Its rate, Hz: ``run.state_rate`` divided by a whole number; None for ``run.rate``.
+    as_applied
+        True for wrenches that were applied before: limits, delay, pulses and timeout act no more.
 
     Examples
     --------
@@ -57,6 +60,11 @@ class Control:
 
     command: Callable[[np.void], Commands]
     rate: float | None = None
+    as_applied: bool = False
+
+
+#: Thrusters that apply every wrench as it is.
+_IDEAL = Thrusters(Thruster(LARGEST, LARGEST), Thruster(LARGEST, LARGEST), timeout=1e6)
 
 
 class _Controlled:
@@ -73,7 +81,7 @@ class _Controlled:
             raise refuse("rate of the controller", rate, "Hz", allowed)
         self._bench, self._command = bench, control.command
         self._every = round(ratio)
-        self._actuation = Actuation(scene.thrusters)
+        self._actuation = Actuation(_IDEAL if control.as_applied else scene.thrusters)
         self._last: np.void | None = None
         self._count = 0  # samples so far
 

@@ -40,7 +40,7 @@ class HeldWrench:
         limit = self._thruster
         fx, fy = (max(-limit.force, min(limit.force, float(f))) for f in wrench[:2])
         tz = max(-limit.torque, min(limit.torque, float(wrench[2])))
-        self._waiting.append((t + limit.delay, (fx, fy, tz)))
+        self._waiting.append((_later(t, limit.delay), (fx, fy, tz)))
 
     def next_change(self) -> float:
         """Return when the wrench may change next, s; inf without a command that waits."""
@@ -62,12 +62,12 @@ class HeldWrench:
             while self._waiting and self._waiting[0][0] <= begins:
                 _, wrench = self._waiting.popleft()
             self._change(begins, wrench)
-            self._expires = begins + self._timeout if any(wrench) else math.inf
+            self._expires = _later(begins, self._timeout) if any(wrench) else math.inf
             self.timeout = 0.0
 
     @property
     def _held_until(self) -> float:
-        return self._since + self._thruster.min_pulse
+        return _later(self._since, self._thruster.min_pulse)
 
     def _is_due(self, t: float) -> bool:
         """Return True if a command takes effect by a time, s."""
@@ -76,6 +76,11 @@ class HeldWrench:
     def _change(self, t: float, wrench: BodyWrench) -> None:
         if wrench != self.applied:
             self.applied, self._since = wrench, t
+
+
+def _later(t: float, duration: float) -> float:
+    """Return a time a duration later, s, without the rounding that leaves the grid of samples."""
+    return round(t + duration, 12)
 
 
 class Actuation:

@@ -18,6 +18,7 @@ from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.dynamics.drive import Control
 from capture_sim.dynamics.sample_times import check_times
 from capture_sim.dynamics.samples import EventKind
+from capture_sim.dynamics.thrust import Commands
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.run.integration import Integration, check_memory, kept
 from capture_sim.run.lazy import Deferred, LazyMapping
@@ -159,6 +160,24 @@ def simulate(
     except RunError as error:
         finer = error.result
     return result.replaced(check=_compare(result, finer))
+
+
+def applied_again(run: Run) -> Control | None:
+    """Return a controller that applies the thrust of an exact run again; None if it has none.
+
+    The wrenches are those of the samples, so a change between two samples comes with the next one.
+    """
+    thrust = run.samples["thrust"]
+    if run.scene.thrusters is None or not thrust.any():
+        return None
+    rate = run.scene.run.state_rate
+
+    def command(sample: np.void) -> Commands:
+        # a sample shows the wrench up to its time
+        applied = thrust[min(round(float(sample["t"]) * rate) + 1, len(thrust) - 1)]
+        return applied[:3], applied[3:]
+
+    return Control(command, rate, as_applied=True)
 
 
 def _compare(coarse: Run, fine: Run) -> Check:

@@ -19,7 +19,7 @@ from capture_sim.dynamics.samples import ENERGIES, EventKind
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.run.first_contact import first_cluster
 from capture_sim.run.run import Run
-from capture_sim.run.simulation import simulate
+from capture_sim.run.simulation import applied_again, simulate
 from capture_sim.run.summary_table import LEGEND, heads, notes, rows
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Declared, declared
@@ -42,7 +42,9 @@ def error_statement(run: Run) -> str:
     """Return how far to trust a simulated run: it is made again, as it was and finer."""
     times = np.asarray(run.samples["t"])
     try:
-        again = simulate(run.scene, t_eval=times, check=True)
+        control = applied_again(run)
+        grid = times if control is None else None
+        again = simulate(run.scene, t_eval=grid, check=True, control=control)
     except (SimulationError, SceneError) as error:
         return f"The run cannot be made again to check it: {error}"
     n = min(len(again.samples), len(times))

@@ -12,7 +12,7 @@ from capture_sim.dynamics.samples import EventKind
 from capture_sim.errors import CaptureSimError
 from capture_sim.run.first_contact import first_touch, impact_speed
 from capture_sim.run.run import Run
-from capture_sim.run.simulation import RunError, simulate
+from capture_sim.run.simulation import RunError, applied_again, simulate
 from capture_sim.scene.parts import Scene, as_name
 
 #: Width of the drawn time of a run of one sample, s.
@@ -181,6 +181,10 @@ def resolved(run: Run, window: tuple[float, float] | None = None) -> Run:
     further samples.  CaptureSimError if the window is empty, or if this version of the simulator
     gives touches that differ from the run's.
     """
+    if run.is_exact and applied_again(run) is not None:
+        raise CaptureSimError(
+            f"{run.scene.name}: flown by a controller; only its samples are drawn"
+        )
     grid, touches = np.asarray(run.samples["t"]), run.touches
     start, end = (float(grid[0]), float(grid[-1])) if window is None else window
     times = [grid[(grid >= start) & (grid <= end)]]

@@ -9,13 +9,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from capture_sim import load_scene, read_run
+from capture_sim import load_scene, read_run, simulate
 from capture_sim.dynamics.samples import SAMPLE
 from capture_sim.dynamics.thrust import NO_THRUST
 from capture_sim.errors import CaptureSimError, MessageError
 from capture_sim.messages.convert import EPOCH_NS
 from capture_sim.messages.topics import CHASER_CMD_WRENCH
 from capture_sim.nodes.simulation.thrust import ThrustCommands
+from capture_sim.run.simulation import applied_again
+from capture_sim.viewing.source import resolved
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENE = EXAMPLES / "free_flyer.yaml"
@@ -174,3 +176,15 @@ def test_time_waits_for_the_answer_of_a_controller_in_wait_for():
     assert at(1.02) == (0.3, 0.0, 0.0)
     with pytest.raises(CaptureSimError, match=r"cmd_wrench: no answer .* t = 1\.040 s within 3 s"):
         at(1.04)
+
+
+def test_a_run_with_a_controller_is_made_again_from_its_recorded_thrust(docking_sweep):
+    """The delay is a whole number of samples: the same wrenches, up to the integration's error."""
+    own = docking_sweep.dock()
+    again = simulate(own.scene, control=applied_again(own))
+    assert np.array_equal(again.samples["thrust"], own.samples["thrust"])
+    assert again.touches["start"] == pytest.approx(own.touches["start"], abs=1e-6)
+    assert again.touches["peak_force"] == pytest.approx(own.touches["peak_force"], rel=1e-4)
+    assert applied_again(simulate("paper_designed", t_end=0.01)) is None
+    with pytest.raises(CaptureSimError, match="flown by a controller"):
+        resolved(own)
