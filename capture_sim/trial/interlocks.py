@@ -275,7 +275,11 @@ class Interlocks:
             self.held.hold(now)
             return
         self.held.let_go(self._standstill().pose(now))
-        for source, _ in self._limited():
+
+    def mark(self) -> None:
+        """Note the sources' clocks and the publishers of launcher/hold at a release."""
+        self.publishers.begin()
+        for source in self._needed():
             self.monitors[self._best(source)].mark()
 
     def watch_held(self, now: float) -> None:

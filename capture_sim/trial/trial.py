@@ -366,7 +366,7 @@ class Trial:
             return [TrialStep.ANNOUNCE]
         self._enter(TrialPhase.APPROACH, now)
         self.is_released, self.released = True, now
-        self._interlocks.publishers.begin()
+        self._interlocks.mark()
         self.launcher.release()
         self._watch.release(now)
         return [TrialStep.RELEASE] if self._has_actuator else []

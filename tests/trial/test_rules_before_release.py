@@ -4,9 +4,10 @@ import math
 import re
 
 import pytest
-from test_trial import CONTACT, SCENE, TARGET, TOPICS, Rig, TrialPhase
+from test_trial import CONTACT, SCENE, TARGET, TOPICS, Rig, Trial, TrialGoal, TrialPhase
 
 from capture_sim.detection.measurements import Source
+from capture_sim.launcher.state_machine import Launcher
 from capture_sim.trial.interlocks import RULES, Interlocks, SourceMonitor, TrialLimits
 
 NAMES = {source: topics[0] for source, topics in TOPICS.items()}
@@ -112,11 +113,25 @@ def test_each_rule_can_be_waived_by_name():
 def test_a_clock_that_steps_aborts_an_approach(step):
     rig = Rig()
     rig.run(1.0)
-    rig.interlocks.note_hold(False, rig.now)
     rig.offset = step
     trial = rig.run(0.2)
     assert trial.failure.startswith("motion_capture/chaser: clock stepped by")
     assert trial.holds
+
+
+def test_a_driver_that_was_restarted_before_the_release_has_no_step():
+    rig = Rig()
+    rig.run(1.0)
+    rig.trial.cancel()
+    rig.run(0.1)
+    rig.offset = -5.0  # its clock begins anew
+    again = Rig()
+    again.interlocks, again.offset, again.now = rig.interlocks, -5.0, rig.now
+    again.trial = Trial(
+        TrialGoal("c4"), SCENE, Launcher(SCENE), rig.interlocks, has_actuator=True, now=rig.now
+    )
+    trial = again.run(1.0)
+    assert (trial.failure, trial.is_released) == ("", True)
 
 
 def test_one_wild_stamp_is_no_step():
@@ -142,7 +157,7 @@ def test_a_bench_faster_than_time_has_no_step_where_its_clock_is_waived():
         interlocks = Interlocks(TrialLimits(), TOPICS, waived=waived)
         for k in range(300):
             if k == 100:
-                interlocks.note_hold(False, 1.0)
+                interlocks.mark()
             for topic in NAMES.values():
                 interlocks.add(topic, round(5e7 * k), (0.1 * k, 0.0, 0.0), 0.01 * k)
         assert bool(interlocks.clock_steps()) is (not waived)
