@@ -65,8 +65,8 @@ def usable(messages: Sequence[StoredMessage], limit: int) -> Usable:
 
     ValueError if they unpack to more.
     """
-    _, times, contents, _, _ = zip(*messages, strict=True)  # faster than five loops
-    are_plain = _FIRST_BYTES.isdisjoint([data[:1] for data in contents])
+    times = [message[1] for message in messages]
+    are_plain = _FIRST_BYTES.isdisjoint([message[2][:1] for message in messages])
     if are_plain and min(times) >= 0 and max(times) < TIME_LIMIT:
         return Usable(messages, times, (), 0)
     kept: list[StoredMessage] = []
