@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from rich import box
 from rich.cells import cell_len
@@ -14,6 +15,17 @@ from rich.table import Table
 _UNLIMITED = 10_000
 #: Blanks between the columns of a printed table.
 _GAP = 4
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a report: a table, if it has one, with lines before and after it."""
+
+    name: str
+    before: Sequence[str] = ()
+    head: Sequence[str] = ()
+    rows: Sequence[Sequence[str]] = ()
+    after: Sequence[str] = ()
 
 
 def make_table(

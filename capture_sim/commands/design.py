@@ -22,6 +22,7 @@ from capture_sim.commands.design_report import (
     outcome_of,
     print_whole_run,
     report_front,
+    sections_of,
     write_design,
     write_front,
 )
@@ -333,7 +334,8 @@ def _design(
                 )
             except KeyboardInterrupt:
                 design = dataclasses.replace(design, interrupted=True)
-    report_front(design, picked, costs)
+    sections = sections_of(design, picked, costs)
+    report_front(sections)
     write_front(design, picked, costs, options.out, options.seed)
     if design.interrupted:
         warn(
@@ -344,8 +346,13 @@ def _design(
     with drawing():
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.design import draw_design
+        from capture_sim.viewing.design_page import save_design_page
 
-        echo(f"plot in {save(draw_design(design, picked), options.out / 'design.png')}")
+        figure = draw_design(design, picked)
+        echo(f"plot in {save(figure, options.out / 'design.png')}")
+        title = f"Design of a buffer: {scene.name}"
+        path = save_design_page(title, sections, figure, options.out / "design.html")
+        echo(f"page in {path}")
     journal.finish()
     return OK if design.met else FAILED
 

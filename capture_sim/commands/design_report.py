@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from capture_sim.base.tables import print_table
-from capture_sim.commands.output import echo, warn, write_json, write_text
+from capture_sim.base.tables import Section, print_table
+from capture_sim.commands.output import echo, write_json, write_text
 from capture_sim.recording.sweep_file import head_of
 from capture_sim.run.loads import LOADS, implausible_stroke
 from capture_sim.scene.parts import Scene
@@ -23,30 +23,43 @@ from capture_sim.studies.outcome import CAPTURED, Outcome, run_to_end
 from capture_sim.studies.variables import DAMPING_RATIO
 
 
-def report_front(design: Design, picked: int | None, costs: Sequence[LimitCost]) -> None:
-    """Print a design: the front, the picked row with its whole run, and what limits cost."""
+def report_front(sections: Sequence[Section]) -> None:
+    """Print a design, see :func:`sections_of`."""
+    for section in sections:
+        for line in section.before:
+            echo(line)
+        if section.head:
+            print_table(section.head, section.rows)
+        for line in section.after:
+            echo(line)
+
+
+def sections_of(design: Design, picked: int | None, costs: Sequence[LimitCost]) -> list[Section]:
+    """Return the report of a design: the front, the picked row with its run, what limits cost."""
     n_feasible = sum(each.feasible for each in design.history)
-    echo(f"{len(design.history)} buffers tried, {n_feasible} feasible")
+    tried = f"{len(design.history)} buffers tried, {n_feasible} feasible"
     if picked is None:
-        echo(f"no buffer found: {design.refusal}")
-        return
+        return [Section("Front", [tried, f"no buffer found: {design.refusal}"])]
+    before = [tried]
     if len(design.rows) > 1:
-        echo(f"front of {len(design.rows)} buffers; {_picked_text(design, picked)}\n")
-    _print_front(design)
-    _print_notes(design)
-    _print_own(design)
-    row = design.rows[picked]
-    _print_buffer(design, row)
+        before.append(f"front of {len(design.rows)} buffers; {_picked_text(design, picked)}\n")
+    head, rows = _front_table(design)
+    found = [Section("Front", before, head, rows, [*_notes(design), *_against_own(design)])]
+    row, requirements = design.rows[picked], design.requirements
     scene = design.scene_of(row.candidate)
-    print_whole_run(scene, run_to_end(scene), design.requirements.limits)
-    check, requirements = row.check, design.requirements
+    run = _whole_run(scene, run_to_end(scene), requirements.limits)
+    found.append(dataclasses.replace(run, before=[_buffer_text(design, row), *run.before]))
+    check = row.check
     if check is not None:
-        echo(
+        text = (
             f"captured within the limits in {check.met} of {check.computed} new draws: "
             f"probability {check.estimate:.4f}, 95 % interval {check.low:.4f} to {check.high:.4f}; "
             f"{requirements.confidence:.4g} required"
         )
-    _print_costs(costs, requirements.objectives)
+        found.append(Section("Check by draws", [text]))
+    if costs:
+        found.append(_costs_section(costs, requirements.objectives))
+    return found
 
 
 def _picked_text(design: Design, picked: int) -> str:
@@ -63,8 +76,8 @@ def _shown_measures(design: Design) -> list[Measure]:
     return [Measure(key) for key in dict.fromkeys(keys)]
 
 
-def _print_front(design: Design) -> None:
-    """Print the rows of the front, and the scene's own buffer below them."""
+def _front_table(design: Design) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows of the front, and the scene's own buffer below them."""
     measures, variables = _shown_measures(design), design.variables
     head = ["row"]
     head += [f"{each.meaning}\n{each.load.shown_in}" for each in measures]
@@ -84,11 +97,7 @@ def _print_front(design: Design) -> None:
         )
         for number, row in enumerate(design.rows, 1)
     ]
-    print_table(head, [*rows, cells("own", design.own, None)])
-    if design.requirements.under is not None and design.interrupted:
-        echo("loads: of the scene without dispersions, as the search was interrupted")
-    elif design.requirements.under is not None:
-        echo(f"loads: at {design.requirements.confidence:.4g} of {CHECK_DRAWS} new draws")
+    return head, [*rows, cells("own", design.own, None)]
 
 
 #: Text of a candidate, and of its row if it is one, in a column.
@@ -106,7 +115,9 @@ def _details(design: Design) -> dict[str, _Show]:
         details[f"{SHARP:.0%} off:\nworse by"] = lambda _, row: _sharpness_text(row)
         if design.requirements.limits:
             details[f"{SHARP:.0%} off:\nexcess"] = lambda _, row: (
-                f"{row.sharpness.excess:.2%}" if row and row.sharpness else ""
+                f"{row.sharpness.excess:.2%}"
+                if row and row.sharpness and not math.isnan(row.sharpness.excess)
+                else ""
             )
     return details
 
@@ -124,31 +135,40 @@ def _sharpness_text(row: Row | None) -> str:
     return f"{row.sharpness.change:.2%}{lost}" if not math.isnan(row.sharpness.change) else "lost"
 
 
-def _print_notes(design: Design) -> None:
-    """Print what a reader of the table must know: ends of ranges, other loads, staying."""
+def _notes(design: Design) -> list[str]:
+    """Return what a reader of the table must know: draws, ends of ranges, other loads, staying."""
+    notes = []
+    if design.requirements.under is not None and design.interrupted:
+        notes.append("loads: of the scene without dispersions, as the search was interrupted")
+    elif design.requirements.under is not None:
+        share = f"{design.requirements.confidence:.4g}"
+        notes.append(f"loads: at {share} of {CHECK_DRAWS} new draws")
     for number, row in enumerate(design.rows, 1):
         where = f"row {number}: " if len(design.rows) > 1 else ""
         if row.at_ends:
-            echo(f"{where}{'; '.join(row.at_ends)}: another range would give another buffer")
+            notes.append(
+                f"{where}{'; '.join(row.at_ends)}: another range would give another buffer"
+            )
         if row.grown:
             loads = ", ".join(
                 f"{each.meaning} {each.shown(row.candidate.loads[each.key])} {each.load.shown_in} "
                 f"({factor:.2g} times the own buffer's)"
                 for each, factor in row.grown
             )
-            echo(f"{where}no limit on {loads}")
+            notes.append(f"{where}no limit on {loads}")
     if len(design.rows) > 1 and any(row.at_ends for row in (design.rows[0], design.rows[-1])):
-        echo("an end of the front is an end of a range, so the knee depends on the ranges")
+        notes.append("an end of the front is an end of a range, so the knee depends on the ranges")
     if any(row.sharpness and row.sharpness.not_held for row in design.rows):
-        echo(f"lost: with one value {SHARP:.0%} off, a run does not stay captured")
+        notes.append(f"lost: with one value {SHARP:.0%} off, a run does not stay captured")
     if (ends := [row.stays for row in design.rows if row.stays is not None]) and min(ends) < (
         LONGEST * design.scene.run.t_end
     ):
-        echo(
+        notes.append(
             f"no latch: each row was also run to {3.0 * design.scene.run.t_end:g} and "
             f"{LONGEST * design.scene.run.t_end:g} s; a row that does not stay until then leaves "
             "between"
         )
+    return notes
 
 
 def _text_of(measure: Measure, candidate: Candidate) -> str:
@@ -160,15 +180,15 @@ def _text_of(measure: Measure, candidate: Candidate) -> str:
     return measure.shown(value)
 
 
-def _print_own(design: Design) -> None:
-    """Print by how much the front beats the scene's own buffer."""
+def _against_own(design: Design) -> list[str]:
+    """Return by how much the front beats the scene's own buffer."""
     own = design.own
     if own.verdict != CAPTURED:
-        echo(f"the scene's own buffer ends {own.verdict}")
-        return
+        return [f"the scene's own buffer ends {own.verdict}"]
+    lines = []
     excess = [each for each in design.requirements.limits if each.is_exceeded(own.loads[each.key])]
     if excess:
-        echo(f"the scene's own buffer exceeds {', '.join(limit.text for limit in excess)}")
+        lines.append(f"the scene's own buffer exceeds {', '.join(limit.text for limit in excess)}")
     parts = []
     for objective, best in beaten_by(design):
         value = own.loads[objective.key]
@@ -179,15 +199,14 @@ def _print_own(design: Design) -> None:
         )
     if parts:
         others = ", the other objectives no worse" if len(design.rows) > 1 else ""
-        echo(f"against the scene's own buffer{others}: {'; '.join(parts)}")
+        lines.append(f"against the scene's own buffer{others}: {'; '.join(parts)}")
+    return lines
 
 
-def _print_costs(costs: Sequence[LimitCost], objectives: Sequence[Measure]) -> None:
-    """Print what the active limits cost in the objectives."""
-    if not costs:
-        return
+def _costs_section(costs: Sequence[LimitCost], objectives: Sequence[Measure]) -> Section:
+    """Return what the active limits cost in the objectives."""
     steps = " and ".join(f"{step:.0%}" for step in STEPS)
-    echo(f"\nactive limits, and the change of each objective with {steps} more of them")
+    title = f"\nactive limits, and the change of each objective with {steps} more of them"
     head = ["limit", "used"]
     head += [f"{each.meaning}\nwith {step:+.0%}" for step in STEPS for each in objectives]
     rows = [
@@ -198,7 +217,7 @@ def _print_costs(costs: Sequence[LimitCost], objectives: Sequence[Measure]) -> N
         ]
         for cost in costs
     ]
-    print_table(head, rows)
+    return Section("Limits", [title], head, rows)
 
 
 def _change_text(change: Change) -> str:
@@ -211,7 +230,7 @@ def _change_text(change: Change) -> str:
     return f"{change.value:+.{digits}%} +- {change.error:.{digits}%}"
 
 
-def _print_buffer(design: Design, row: Row) -> None:
+def _buffer_text(design: Design, row: Row) -> str:
     values = dict(row.candidate.values)
     buffer = design.scene_of(row.candidate).buffer
     rebound = buffer.c_A_rebound
@@ -221,24 +240,30 @@ def _print_buffer(design: Design, row: Row) -> None:
         values["buffer.c_A_rebound"] = rebound
     units = {variable.name: variable.unit for variable in design.variables}
     units["buffer.c_A_rebound"] = units["buffer.c_A"] = "N s/m"
-    echo(
-        ", ".join(
-            f"{name.removeprefix('buffer.')} = {value:.5g} {units[name]}".rstrip()
-            for name, value in values.items()
-        )
+    return ", ".join(
+        f"{name.removeprefix('buffer.')} = {value:.5g} {units[name]}".rstrip()
+        for name, value in values.items()
     )
 
 
 def print_whole_run(scene: Scene, outcome: Outcome, limits: Sequence[Limit]) -> None:
     """Print verdict and loads of a design's run, with the limits."""
-    echo(f"\nsimulation of the design: {_verdict(outcome)}, {outcome.reason}")
-    print_table(["whole run", "", "at s", "limit", "margin"], _load_rows(outcome, limits))
+    report_front([_whole_run(scene, outcome, limits)])
+
+
+def _whole_run(scene: Scene, outcome: Outcome, limits: Sequence[Limit]) -> Section:
+    """Return verdict and loads of a design's run, with the limits."""
+    after = []
     if text := implausible_stroke(scene, outcome.loads["max_axial_stroke_in"]):
-        warn(text)
+        after.append(text)
     if outcome.failure:
-        echo("the run stopped early: loads until then do not show that limits are kept")
+        after.append("the run stopped early: loads until then do not show that limits are kept")
     if outcome.left_again:
-        echo("the tip leaves the capture zone again; a latch would hold it")
+        after.append("the tip leaves the capture zone again; a latch would hold it")
+    title = f"\nsimulation of the design: {_verdict(outcome)}, {outcome.reason}"
+    head = ["whole run", "", "at s", "limit", "margin"]
+    rows = [row + [""] * (len(head) - len(row)) for row in _load_rows(outcome, limits)]
+    return Section("Chosen buffer", [title], head, rows, after)
 
 
 def _verdict(outcome: Outcome) -> str:

@@ -125,7 +125,7 @@ def draw_comparison(runs: Sequence[Side], labels: Sequence[str], window: float) 
             draw_touches(force, touches, name, colour, mark)
             t, total = impulse_so_far(touches, window)
             if np.isfinite(total).all():
-                impulse.plot(t, total * 1e3, **look)
+                impulse.plot(t, total, drawstyle="steps-post", **look)
         for axes, key, quantity in ((stroke, "stroke", STROKE), (torsion, "torsion", TORSION)):
             series = measured.get(key, NO_SERIES)
             shown = (series.t >= first) & (series.t <= window)
@@ -140,9 +140,12 @@ def draw_comparison(runs: Sequence[Side], labels: Sequence[str], window: float) 
             )
             relative.plot(t, (gap - at_contact) * 1e3, **look)
     force.set_ylabel("peak of each touch\n[N]")
+    if any(run.touches is not None for run in runs):
+        text = "bar under a stem: as wide as the touch, its area is the impulse"
+        force.set_title(text, loc="left", fontsize="small", color=style.DARK)
     force.set_ylim(bottom=0.0)
     force.legend(loc="upper right", frameon=False)
-    impulse.set_ylabel("impulse so far\n[mN s]")
+    impulse.set_ylabel("impulse so far\n[N s]")
     if not impulse.lines:
         impulse.text(0.5, 0.5, "not known of either", ha="center", transform=impulse.transAxes)
     relative.set_ylabel("gap of the vehicles\nsince contact  [mm]")

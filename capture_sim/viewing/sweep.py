@@ -203,8 +203,9 @@ def draw_map(
     figure, panels = subplots(
         1.0 + 5.2 * columns, 1.6 + 4.6 * rows, rows, columns, grid=None, font=12.0
     )
+    levels = _levels(table["max_normal_force"].to_numpy(float))
     for panel, (values, page) in zip(panels.flat, pages, strict=False):
-        _draw_verdicts(panel, page, across, up)
+        _draw_verdicts(panel, page, across, up, levels)
         if limits:
             exceeding = page[page["exceeded"] != ""]
             panel.plot(
@@ -250,7 +251,17 @@ def draw_map(
     return figure
 
 
-def _draw_verdicts(panel: Axes, page: pandas.DataFrame, across: Axis, up: Axis) -> None:
+def _levels(force: np.ndarray) -> np.ndarray:
+    """Return the levels of the contours, the same in all panels of a map."""
+    known = force[np.isfinite(force) & (force > 0.0)]
+    if not known.size:
+        return np.empty(0)
+    return np.asarray(MaxNLocator(_MOST_LEVELS + 1).tick_values(known.min(), known.max()))
+
+
+def _draw_verdicts(
+    panel: Axes, page: pandas.DataFrame, across: Axis, up: Axis, levels: np.ndarray
+) -> None:
     names = [*_OUTCOMES, FAILED]
     numbers = page.assign(number=page["outcome"].map(names.index))
     grid = numbers.pivot(index=up.name, columns=across.name, values="number")
@@ -263,9 +274,7 @@ def _draw_verdicts(panel: Axes, page: pandas.DataFrame, across: Axis, up: Axis) 
     )
     force = force.where(force > 0.0)  # none around the runs without a touch
     if min(force.shape) > 1 and force.notna().to_numpy().any():
-        lines = panel.contour(
-            *places, force.to_numpy(), _MOST_LEVELS, colors=style.BLACK, linewidths=0.8
-        )
+        lines = panel.contour(*places, force.to_numpy(), levels, colors=style.BLACK, linewidths=0.8)
         _drop_short_contours(lines, [_SHORTEST_CONTOUR * np.diff(at).min() for at in places])
         # read on dark colours too
         halo: list[AbstractPathEffect] = [withStroke(linewidth=2.0, foreground="white")]

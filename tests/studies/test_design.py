@@ -300,6 +300,10 @@ def test_the_command_leaves_scenes_that_run_to_the_figures_of_its_table(tmp_path
     assert kept["limits"]["max_normal_force"] == 345.0
     assert kept["picked"] == 2
     assert (tmp_path / "design.png").stat().st_size > 10_000
+    page = (tmp_path / "design.html").read_text()
+    for text in ("<h2>Front</h2>", "<h2>Chosen buffer</h2>", f"<td>{force:.4g}</td>", "own"):
+        assert text in page
+    assert "http" not in page.replace("http-equiv", "")  # whole in one file
     assert main(["design", str(SERVICER), "--peak-force=20", *free]) == 1
     assert "no buffer found: among" in capsys.readouterr().out
     assert not (tmp_path / "design_01.yaml").exists()
