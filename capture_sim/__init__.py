@@ -8,6 +8,7 @@
 - ``simulate(scene, overrides)`` returns a ``Run``; ``read_run(path)`` returns one of a recording.
 - ``load_scene(name, overrides)`` returns a ``Scene``; ``scene_names()`` lists the packaged ones.
 - ``plot(run, ...)`` draws runs; ``sweep(scene, vary)`` returns a pandas table of many runs.
+- ``calibrate(trials)`` fits the parameters of a bench to its measured runs, and predicts.
 - ``Bench`` and ``drive`` advance a run step by step.
 - ``Phase``, ``EventKind`` and ``CaptureState`` name the constants of samples, events and statuses.
 - ``SceneError``, ``SimulationError``, ``RecordingError`` and ``MissingPackageError`` are
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from capture_sim.scene.files import scene_names as scene_names
     from capture_sim.scene.loading import load_scene as load_scene
     from capture_sim.scene.parts import Scene as Scene
+    from capture_sim.studies.calibration.calibrate import calibrate as calibrate
     from capture_sim.studies.sweep import sweep as sweep
     from capture_sim.viewing.plots import plot as plot
 
@@ -66,6 +68,7 @@ _MODULES = {
     "scene.files": ("scene_names",),
     "scene.parts": ("Scene",),
     "run.simulation": ("simulate",),
+    "studies.calibration.calibrate": ("calibrate",),
     "studies.sweep": ("sweep",),
     "viewing.plots": ("plot",),
 }

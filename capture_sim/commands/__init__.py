@@ -33,6 +33,7 @@ GROUPS = {
         "compare": "compare two runs, e.g. measured and simulated",
     },
     "study": {
+        "calibrate": "fit the parameters of a bench to its trials, and predict the next one",
         "identify": "fit parameters of the bench to a recorded run",
         "design": "find springs and damper for target strokes",
         "sweep": "run a scene over values, distributions or a table",

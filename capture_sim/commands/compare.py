@@ -20,13 +20,17 @@ from capture_sim.commands.inputs import (
     folder_beside,
     not_negative,
     open_or_simulate,
+    open_run,
     prepare_folder,
 )
-from capture_sim.commands.output import drawing, echo
+from capture_sim.commands.output import drawing, echo, warn
 from capture_sim.errors import RecordingError
 from capture_sim.run.run import Run
 from capture_sim.run.touches import Touches
 from capture_sim.studies.agreement import Agreement, agreement
+from capture_sim.studies.calibration.files import read_calibrated
+from capture_sim.studies.calibration.new_trial import agreement_of
+from capture_sim.studies.calibration.prediction import read_placement
 from capture_sim.studies.compare import (
     LEAST,
     Gap,
@@ -43,10 +47,13 @@ DESCRIPTION = (
     "times, the touches one by one, and the poses over time. Write a plot. Each number comes "
     "from the finest series that both runs have; the table names it. Strokes, torsion and closest "
     "approach cover the whole run, including the latched phase. Scenes given by name are "
-    "simulated. With --simulated, compare a recording with its own scene simulated again; the exit "
-    "status is then 1 if the samples of a simulated recording differ."
+    "simulated. With --calibrated, say whether a trial agrees with a calibrated bench: its "
+    "residuals, parameters and placement. With --simulated, compare a recording with its own scene "
+    "simulated again; the exit status is then 1 if the samples of a simulated recording differ."
 )
 IDENTICAL = "identical"
+#: Standard deviations of the start poses that are expected of a new trial.
+PLACEMENT = "1 mm, 5 mrad"
 #: Beyond this share of A, a difference is not written in percent.
 _LARGEST_SHARE = 10.0
 #: Number of touches in the printed list.
@@ -78,6 +85,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="compare this time after the first contact, s (default: 1)",
     )
+    parser.add_argument(
+        "--calibrated",
+        type=Path,
+        metavar="DIR",
+        help="compare the recording A with the bench of capture-sim calibrate: its folder, or its "
+        "calibration.json. The exit status is 1 if they do not agree",
+    )
+    parser.add_argument(
+        "--placement",
+        metavar="'LENGTH, ANGLE'",
+        help="with --calibrated, expect the start poses within these standard deviations of the "
+        f"scene's (default: '{PLACEMENT}')",
+    )
     add_geometry(parser)
     add_release(parser)
     add_remaps(parser)
@@ -91,6 +111,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
+    if options.calibrated is not None:
+        return _with_calibration(options)
+    if options.placement is not None:
+        raise RecordingError("--placement: must be given with --calibrated")
     if options.simulated == (options.b is not None):
         raise RecordingError("compare: must have either a second run B or --simulated")
     options.out = options.out or folder_beside(options.a)
@@ -119,6 +143,32 @@ def run(options: argparse.Namespace) -> int:
                 return status
     _compare(*sides(*runs), labels, options)
     return status
+
+
+def _with_calibration(options: argparse.Namespace) -> int:
+    """Print whether a trial agrees with a calibrated bench; return the exit status."""
+    if options.b is not None or options.simulated:
+        raise RecordingError("--calibrated: must be given with one recording A alone")
+    calibrated = read_calibrated(options.calibrated)
+    placement = read_placement(options.placement or PLACEMENT)
+    run = open_run(
+        options.a,
+        options.remaps,
+        scene=options.scene,
+        release=options.release,
+        waived=options.waived,
+    )
+    for finding in calibrated.findings:
+        warn(f"{calibrated.path}: not found: {finding}")
+    compile_first()
+    found = agreement_of(run, calibrated, placement)
+    rows = [
+        [test.name, f"{test.statistic:.4g}", f"{test.freedom}", f"{test.p:.2g}"]
+        for test in (found.noise, found.parameters, found.placement)
+    ]
+    print_table(["", "chi2", "expected", "p"], rows)
+    echo(found.sentence)
+    return OK if found.agrees else FAILED
 
 
 def _simulated(run: Run) -> Run:

@@ -250,7 +250,10 @@ def run(options: argparse.Namespace) -> int:
     if options.first_contact:
         return _design_first_contact(scene, options)
     free = _free(options.free)
-    under = Dispersions(*dispersions(options)) if options.under is not None else None
+    under = None
+    if options.under is not None or options.calibrated is not None:
+        chosen = [text.partition("=")[0].strip() for text in free]
+        under = Dispersions(*dispersions(options, chosen))
     given, objectives = _limits(options), _objectives(options, free)
     if len(objectives) == 1 and options.pick != "knee":
         raise SceneError(f"--pick {options.pick}: must be omitted with one objective: one buffer")
@@ -401,7 +404,7 @@ def _journal(
     if under is not None:
         varied = {name: str(given) for name, given in under.vary.items()}
         head["under"] = varied
-        head["correlate"] = options.correlate
+        head["correlate"] = [[*pair, value] for pair, value in under.correlations.items()]
     journal = Journal(options.out / _JOURNAL, head, resume=options.resume)
     if journal.replaced is not None:
         warn(f"the unfinished design of before is now {journal.replaced}; --resume continues one")
@@ -454,6 +457,7 @@ def _check(options: argparse.Namespace) -> None:
         others |= {"--capture-range": options.capture_range, "--candidates": options.candidates}
         others |= {"--window": options.window, "--allow-leaving": options.allow_leaving}
         others |= {"--from": options.earlier, "--resume": options.resume}
+        others |= {"--calibrated": options.calibrated}
         for name, value in others.items():
             if value:
                 raise SceneError(f"{name}: must be given without --first-contact")
@@ -464,8 +468,8 @@ def _check(options: argparse.Namespace) -> None:
     of_draws = {"--confidence": options.confidence, "--draws": options.draws}
     of_draws["--correlate"] = options.correlate
     for name, value in of_draws.items():
-        if value and options.under is None:
-            raise SceneError(f"{name}: must be given with --under")
+        if value and options.under is None and options.calibrated is None:
+            raise SceneError(f"{name}: must be given with --under or --calibrated")
 
 
 def _objectives(options: argparse.Namespace, free: Sequence[str]) -> tuple[Measure, ...]:

@@ -270,12 +270,22 @@ def add_under(parser: argparse.ArgumentParser, help_text: str) -> None:
         help="correlate two distributions by R, of a Gaussian copula, e.g. "
         "approach.speed,approach.angle=0.6; may be repeated",
     )
+    parser.add_argument(
+        "--calibrated",
+        type=Path,
+        metavar="DIR",
+        help="also vary the parameters of capture-sim calibrate, with their errors and "
+        "correlations: its folder, or its calibration.json",
+    )
 
 
 def dispersions(
-    options: argparse.Namespace,
+    options: argparse.Namespace, without: Sequence[str] = ()
 ) -> tuple[dict[str, str], dict[tuple[str, str], float]]:
-    """Return the distributions by name of ``--under``, and the correlations."""
+    """Return the distributions by name of ``--under`` and ``--calibrated``, and the correlations.
+
+    ``without``: names that are not varied, as a design chooses them.
+    """
     vary: dict[str, str] = {}
     if options.under is not None:
         try:
@@ -301,6 +311,17 @@ def dispersions(
             correlations[first, second] = float(value)
         except ValueError:
             raise SceneError(f"--correlate {item}: must be NAME,NAME=R") from None
+    if options.calibrated is not None:
+        from capture_sim.studies.calibration.files import calibrated_dispersions, read_calibrated
+
+        calibrated = read_calibrated(options.calibrated)
+        for finding in calibrated.findings:
+            warn(f"{calibrated.path}: not found: {finding}")
+        varied, correlated = calibrated_dispersions(calibrated, without)
+        if twice := [name for name in varied if name in vary]:
+            raise SceneError(f"{twice[0]}: must be in --under or --calibrated, not in both")
+        vary |= varied
+        correlations |= correlated
     return vary, correlations
 
 

@@ -259,9 +259,10 @@ def _sweep(
 def _samples(scene: Scene, options: argparse.Namespace) -> Samples:
     if options.cases is not None:
         others = options.vary, options.under, options.correlate, options.runs, options.edges
-        if any(others):
+        if any(others) or options.calibrated is not None:
             raise SceneError(
-                "--from: must be given without --vary, --under, --correlate, --runs and --edges"
+                "--from: must be given without --vary, --under, --calibrated, --correlate, --runs "
+                "and --edges"
             )
         return samples_of(scene, read_cases(options.cases))
     vary, correlations = dispersions(options)
@@ -271,7 +272,9 @@ def _samples(scene: Scene, options: argparse.Namespace) -> Samples:
             raise SceneError(f"--vary {item}: must be NAME=VALUES, each name once")
         vary[name.strip()] = given
     if not vary:
-        raise SceneError("--vary: must be given at least once, or --under, or --from")
+        raise SceneError(
+            "--vary: must be given at least once, or --under, or --calibrated, or --from"
+        )
     runs = options.runs
     if runs is None:
         runs = 100 if any("(" in given for given in vary.values()) else 0

@@ -190,7 +190,7 @@ def test_poses_of_one_instant_decide_and_fit_nothing(path, tmp_path, capsys):
     status, errors, _ = identify
     assert (status, errors) == (
         2,
-        ["capture-sim: measurements of one instant: must be of two or more"],
+        [f"capture-sim: {file}: measurements of one instant: must be of two or more"],
     )
     assert export[:2] == [0, []]
 

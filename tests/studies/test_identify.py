@@ -15,7 +15,8 @@ from capture_sim.errors import SceneError
 from capture_sim.run.run import Run
 from capture_sim.run.series import STATE, Series, series_in
 from capture_sim.run.touches import located
-from capture_sim.studies.identify import identify, is_explained, scatter
+from capture_sim.studies.calibration.trial import scatter
+from capture_sim.studies.identify import identify, is_explained
 
 HERE = "tilt_0"
 
@@ -87,7 +88,7 @@ def test_noise_is_found_in_the_series():
     [
         (("friction.nu",), "parameter friction.nu: must be one of c_rr, e, mu, c_A"),
         (("friction.law",), "parameter friction.law"),
-        (("mu", "mu"), "each once"),
+        (("mu", "mu"), "must be given once"),
         (("stops.stiffness",), "parameter stops.stiffness"),
         (
             ("run.t_end",),

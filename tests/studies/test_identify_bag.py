@@ -129,7 +129,8 @@ def test_release_is_fitted_with_the_rest():
     fit = identify(scene, later(run.run, late), names, touches=touches)
     assert is_explained(fit)
     assert np.all(np.abs(fit.values - [late, run.true[2]]) < 3.0 * fit.errors)
-    assert fit.errors[0] < 2e-4
+    # with the start poses free as well, which no sample before the release shows here
+    assert fit.errors[0] < 4e-4
     assert fit.scene == dataclasses.replace(
         scene, friction=dataclasses.replace(scene.friction, mu=fit.scene.friction.mu)
     )
@@ -142,6 +143,7 @@ def sampled(run, rng):
     return touches.later(1e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("measured", [sampled, partial(counted, rate=2e3)])
 def test_standard_errors_are_the_spread_of_48_runs(measured):
     """Of rolling resistance and restitution, which the times of touches determine.

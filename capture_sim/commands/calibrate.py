@@ -1,0 +1,333 @@
+"""``capture-sim calibrate``."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import hashlib
+import math
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from capture_sim.base.exit_status import FAILED, INTERRUPTED, OK
+from capture_sim.base.interrupts import terminated_as_interrupted
+from capture_sim.base.tables import print_table, table_text
+from capture_sim.commands.compiling import compile_first
+from capture_sim.commands.inputs import (
+    add_geometry,
+    add_out,
+    add_overrides,
+    add_remaps,
+    add_seed,
+    is_recording,
+    not_negative,
+    open_run,
+    prepare_folder,
+)
+from capture_sim.commands.output import Progress, drawing, echo, write_json, write_text
+from capture_sim.errors import SceneError
+from capture_sim.run.run import Run
+from capture_sim.scene.files import scene_names
+from capture_sim.scene.loading import load_scene
+from capture_sim.scene.parts import Scene
+from capture_sim.studies.calibration.calibrate import Calibration, calibrate, predicted
+from capture_sim.studies.calibration.candidates import NAMED
+from capture_sim.studies.calibration.files import JSON, SCENE, as_data, scene_text
+from capture_sim.studies.calibration.parameters import (
+    DEFAULT,
+    SENSOR_ERRORS,
+    Weighed,
+    read_weighed,
+)
+from capture_sim.studies.calibration.prediction import (
+    Prediction,
+    read_placement,
+    shown_figure,
+)
+from capture_sim.studies.calibration.trial import launched
+
+DESCRIPTION = (
+    "Fit the parameters of a bench to all of its trials. Each trial has its own start poses and "
+    "release, which are fitted as well. Measurements after the first launcher/hold that follows "
+    "the release are not used. Print values with standard errors and the tests of the fit; write "
+    "a calibrated scene, the covariance and plots. The exit status is 1, with the reasons, if a "
+    "test fails: searches or trials that do not agree, residuals that are not noise, something "
+    "that the model lacks, a value at the end of its range, or a direction without information."
+)
+EXAMPLE = """\
+  capture-sim calibrate trial_0.mcap trial_p10.mcap trial_m10.mcap \\
+    --weighed chaser.mass='22.6 +- 0.02 kg' --out runs/my_bench
+  capture-sim calibrate trial_*.mcap --predict next.yaml --placement '0.2 mm, 1 mrad'"""
+#: Name of the bench's scene where the trials' own is none of the package.
+_BENCH = "bench.yaml"
+#: Candidates that are printed.
+_SHOWN = 3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        "trials", nargs="+", metavar="TRIAL", help="recordings: .mcap files, or folders of bags"
+    )
+    parser.add_argument(
+        "--fit",
+        nargs="+",
+        action="extend",
+        metavar="NAME",
+        help="fit these parameters: c_rr, e, mu, c_A, fields of the scene, e.g. buffer.k_A, or "
+        f"errors of sensors: {', '.join(SENSOR_ERRORS)} (default: {', '.join(DEFAULT)}, as far as "
+        "the scene has them)",
+    )
+    parser.add_argument(
+        "--weighed",
+        action="append",
+        default=[],
+        metavar="NAME='VALUE +- ERROR UNIT'",
+        help="use a value that is known from elsewhere, e.g. chaser.mass='22.6 +- 0.02 kg'; may be "
+        "repeated",
+    )
+    parser.add_argument(
+        "--predict",
+        metavar="SCENE",
+        help="predict this trial: a scene, or a recording, of which only the scene and the launch "
+        "are used",
+    )
+    parser.add_argument(
+        "--placement",
+        metavar="'LENGTH, ANGLE'",
+        help="with --predict, include these standard deviations of the placement of each vehicle, "
+        "e.g. '0.2 mm, 1 mrad' (default: placed exactly)",
+    )
+    parser.add_argument(
+        "--until",
+        type=not_negative,
+        default=math.inf,
+        metavar="S",
+        help="use only measurements up to this time, s since the release (default: up to the first "
+        "launcher/hold after the release)",
+    )
+    add_geometry(parser)
+    add_remaps(parser)
+    add_overrides(parser)
+    add_seed(parser, "the restarts and of the prediction's draws")
+    add_out(parser, "runs/calibration")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return its exit status."""
+    if options.placement and not options.predict:
+        raise SceneError("--placement: must be given with --predict")
+    placement = read_placement(options.placement) if options.placement else None
+    for number, source in enumerate(options.trials):
+        if source in options.trials[:number]:
+            raise SceneError(f"trial {source}: given twice: must be given once")
+    names = None
+    if options.fit is not None:
+        names = [name for text in options.fit for name in text.split(",") if name]
+    to_come = _to_predict(options)
+    runs = [
+        open_run(
+            source,
+            options.remaps,
+            scene=options.scene,
+            overrides=options.overrides,
+            waived=options.waived,
+        )
+        for source in options.trials
+    ]
+    weighed = _weighed(runs[0].scene, options.weighed)
+    prepare_folder(options.out)
+    compile_first()
+    with terminated_as_interrupted(), Progress("simulations") as progress:
+        found = calibrate(
+            runs,
+            names,
+            weighed=weighed,
+            until=options.until,
+            seed=options.seed,
+            report=partial(progress.at, "calibrate"),
+        )
+    is_unfinished = any(finding.kind == "unfinished" for finding in found.findings)
+    if to_come is not None and not is_unfinished:
+        prediction = predicted(found, to_come, placement, seed=options.seed)
+        found = dataclasses.replace(found, prediction=prediction)
+    _print(found)
+    _write(found, runs, options)
+    if is_unfinished:
+        return INTERRUPTED
+    return OK if found.is_found else FAILED
+
+
+def _to_predict(options: argparse.Namespace) -> Scene | None:
+    if not options.predict:
+        return None
+    if is_recording(options.predict):
+        return launched(open_run(options.predict, options.remaps, scene=options.scene))
+    return load_scene(options.predict)
+
+
+def _weighed(scene: Scene, texts: Sequence[str]) -> dict[str, Weighed]:
+    weighed: dict[str, Weighed] = {}
+    for text in texts:
+        name, value = read_weighed(scene, text)
+        if name in weighed:
+            raise SceneError(f"weighed {name}: given twice: must be given once")
+        weighed[name] = value
+    return weighed
+
+
+def rows_of(found: Calibration) -> list[list[str]]:
+    """Return the parameters as rows of a table."""
+    rows = []
+    for name, value, error, unit, begun in zip(
+        found.names, found.values, found.errors, found.units, found.begun, strict=True
+    ):
+        share = f"{error / abs(value):.2%}" if value and math.isfinite(error) else "-"
+        note = "weighed" if name in found.weighed else ""
+        unit = "" if unit == "1" else unit
+        rows.append([name, f"{value:.6g}", f"{error:.2g}", share, unit, f"{begun:.6g}", note])
+    return rows
+
+
+HEAD = ["parameter", "value", "+-", "%", "unit", "start", ""]
+
+
+def print_starts(found: Calibration) -> None:
+    """Print where each trial began, relative to its scene, and what of it was used."""
+    assert found.problem is not None
+    rows = []
+    has_release = any(start.is_release_fitted for start in found.starts)
+    for start, trial in zip(found.starts, found.problem.trials, strict=True):
+        initial = trial.scene.initial
+        row = [Path(start.trial).name]
+        for pose, k in ((initial.chaser, 0), (initial.target, 3)):
+            scene = (pose.x, pose.y, pose.theta)
+            for i in range(3):
+                off, error = start.values[k + i] - scene[i], start.errors[k + i]
+                row.append(f"{off * 1e3:+.3f} +- {error * 1e3:.2g}")
+        release = f"{start.release * 1e3:+.2f} +- {start.release_error * 1e3:.2g}"
+        if has_release:
+            row.append(release if start.is_release_fitted else "known")
+        row.append(f"{start.end:.3f}")
+        row.append("launcher/hold" if start.end >= start.cut - 0.05 else "")
+        rows.append(row)
+    head = ["start less scene", "chaser x, mm", "y, mm", "theta, mrad"]
+    head += ["target x, mm", "y, mm", "theta, mrad", *(["release, ms"] if has_release else [])]
+    head += ["used to, s", "ended by"]
+    print_table(head, rows)
+
+
+def _print(found: Calibration) -> None:
+    print_table(HEAD, rows_of(found))
+    for i, first in enumerate(found.names):
+        for j, second in enumerate(found.names[:i]):
+            if abs(found.correlation[i, j]) > 0.95:
+                echo(f"{second} and {first} are hard to separate: {found.correlation[i, j]:+.3f}")
+    print_starts(found)
+    for line in _test_lines(found):
+        echo(line)
+    if found.prediction is not None:
+        _print_prediction(found.prediction)
+    for finding in found.findings:
+        echo(f"not found: {finding.line}")
+    if found.is_found:
+        echo("found: all tests passed")
+
+
+def _test_lines(found: Calibration) -> list[str]:
+    """Return what the tests of a fit have shown, one line each."""
+    agreeing = [apart for above, apart in found.restarts if above < 4.0]
+    lines = [
+        f"chi2 {found.reduced_chi2:.4g} per degree of freedom ({found.freedom}), "
+        f"{found.simulations} simulations",
+        f"converged to {found.left:.2g} standard errors",
+    ]
+    if found.restarts:
+        furthest = f", within {max(agreeing):.2g} standard errors" if agreeing else ""
+        lines[-1] += f"; {len(agreeing)} of {len(found.restarts)} restarts ended there{furthest}"
+    if found.agreement.freedom:
+        agreement = found.agreement
+        lines.append(
+            f"trials: chi2 {agreement.statistic:.4g} for {agreement.freedom} that they have the "
+            f"same parameters, p = {agreement.p:.2g}"
+        )
+    if found.blocks:
+        worst = min(found.blocks, key=lambda block: block.p)
+        lines.append(
+            f"residuals: {len(found.blocks)} sets of means over 30 ms, least p = {worst.p:.2g}, "
+            f"{min(worst.p * len(found.blocks), 1.0):.2g} for so many"
+        )
+    if found.scores:
+        best = ", ".join(f"{s.name} {s.gain:.3g}" for s in found.scores[:_SHOWN])
+        lines.append(
+            f"{len(found.scores)} candidates for what the model lacks; largest gains of chi2: "
+            f"{best} (named above {NAMED:g})"
+        )
+    return lines
+
+
+def _print_prediction(prediction: Prediction) -> None:
+    rows = []
+    for figure in prediction.figures:
+        meaning, factor, unit = shown_figure(figure.name)
+        rows.append(
+            [
+                f"{meaning}, {unit}",
+                f"{figure.value * factor:.4f}",
+                f"{figure.error * factor:.2g}",
+                f"{figure.low * factor:.4f}",
+                f"{figure.high * factor:.4f}",
+            ]
+        )
+    print_table(["predicted", "value", "+- by parameters", "95 % from", "to"], rows)
+    placement = prediction.placement
+    how = "both vehicles placed exactly: give --placement for a real trial"
+    if placement is not None:
+        how = (
+            f"with a placement of {placement.position * 1e3:.3g} mm, "
+            f"{placement.angle * 1e3:.3g} mrad"
+        )
+    echo(f"{prediction.scene.name}, {how}")
+    if prediction.failed:
+        echo(f"{prediction.failed} draws could not be simulated")
+
+
+def _write(found: Calibration, runs: Sequence[Run], options: argparse.Namespace) -> None:
+    """Write the calibrated scene, the data, the table and the plots."""
+    out: Path = options.out
+    scene = runs[0].scene
+    extends = _extended(scene, out)
+    title = f"{scene.title}, calibrated by {len(runs)} trial{'s' if len(runs) > 1 else ''}"
+    path = write_text(out / SCENE, scene_text(found, extends, title))
+    load_scene(path)  # what is written can be read
+    echo(f"calibrated scene in {path}")
+    hashes = {start.trial: _sha256(Path(start.trial)) for start in found.starts}
+    echo(f"values, covariance and tests in {write_json(out / JSON, as_data(found, hashes))}")
+    lines = [table_text(HEAD, rows_of(found)), "", *_test_lines(found)]
+    lines += [f"not found: {finding.line}" for finding in found.findings]
+    write_text(out / "calibration.txt", "\n".join(lines) + "\n")
+    with drawing():
+        from capture_sim.viewing.calibration import draw_calibration
+        from capture_sim.viewing.canvas import save
+
+        for name, figure in draw_calibration(found).items():
+            echo(f"plot in {save(figure, out / f'{name}.png')}")
+
+
+def _extended(scene: Scene, folder: Path) -> str:
+    """Return the name of the scene that the calibrated one extends; write it if it is a new one."""
+    if scene.name in scene_names() and load_scene(scene.name) == scene:
+        return scene.name
+    write_text(folder / _BENCH, scene.to_yaml())
+    return _BENCH.removesuffix(".yaml")
+
+
+def _sha256(path: Path) -> str:
+    """Return the hash of a recording: of its file, or of the .mcap files of its folder."""
+    digest = hashlib.sha256()
+    for file in sorted(path.glob("*.mcap")) if path.is_dir() else [path]:
+        with file.open("rb") as opened:
+            while block := opened.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()

@@ -1,0 +1,691 @@
+"""One bench from its trials: the joint fit, its tests, and what it predicts."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.compilation import compile_kernels
+from capture_sim.errors import SceneError, SimulationError
+from capture_sim.run.run import Run, checked
+from capture_sim.run.touches import Touches
+from capture_sim.scene.parts import Scene
+from capture_sim.scene.paths import NO_PHYSICS, field_names, get, with_values
+from capture_sim.studies.calibration.candidates import COMPUTED, NAMED, Score, scores
+from capture_sim.studies.calibration.checks import (
+    ALARM_BLOCKS,
+    ALARM_TRIALS,
+    Agreeing,
+    BlockMean,
+    Finding,
+    at_bounds,
+    block_means,
+    convergence,
+    direction_words,
+    trials_agree,
+    undetermined,
+)
+from capture_sim.studies.calibration.descent import (
+    RESTARTS,
+    Found,
+    Search,
+    descend,
+    grow,
+    renoised,
+    restart,
+    sigma_of,
+    step_covariance,
+)
+from capture_sim.studies.calibration.joint import Linear, Problem
+from capture_sim.studies.calibration.parameters import (
+    SENSOR_ERRORS,
+    Parameter,
+    Weighed,
+    begins,
+    begun_at,
+    parameters_of,
+    read_weighed,
+)
+from capture_sim.studies.calibration.prediction import (
+    Placement,
+    Prediction,
+    predict,
+    read_placement,
+)
+from capture_sim.studies.calibration.trial import OWN_SIZE, Trial, launched, resolved, trial_of
+
+#: Names of a trial's start.
+STARTS = tuple(f"initial.{v}.{name}" for v in ("chaser", "target") for name in ("x", "y", "theta"))
+#: First touches that are fitted; standard deviations of their times, s, and peak forces, N, where
+#: the recording shows none.
+TOUCHES, TOUCH_NOISE = 4, (2e-4, 2.0)
+#: Linear fits of a joint fit, to estimate how long it takes.
+_LINEAR_FITS = 50
+#: What the model lacks is added one at a time, at most so often; each is the best of so many.
+_MOST_ADDED, _TRIED = 3, 2
+#: A candidate is tried beside the best one if its gain is at least this share of the best gain.
+_ALIKE = 0.3
+_ADDED_STEPS = 6
+#: chi2 of a bad fit, per measured value.
+_BAD = 1.5
+#: A fit whose residuals are not noise begins again so far from where it began, in coordinates.
+_ELSEWHERE = 0.15
+
+
+class Start(NamedTuple):
+    """Where a trial began, with standard errors; SI."""
+
+    trial: str
+    values: np.ndarray  # (6,), of STARTS
+    errors: np.ndarray
+    release: float  # s after the release that was assumed
+    release_error: float
+    is_release_fitted: bool
+    slopes: np.ndarray  # (7, d), of the six values and the release by the place of the search
+    end: float  # s, of what was used
+    cut: float  # s, of the hold that ended it; infinite without one
+    noise: Mapping[str, np.ndarray]  # of each series
+
+
+class Lacking(NamedTuple):
+    """A parameter that the model lacks, fitted along with the rest."""
+
+    score: Score
+    estimate: float  # SI
+    error: float
+    gain: float  # decrease of chi2
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Parameters of a bench, their errors, and the tests of both; SI units."""
+
+    names: tuple[str, ...]  # of the shared parameters
+    values: np.ndarray  # (k,)
+    errors: np.ndarray  # (k,), standard errors; infinite if not determined
+    units: tuple[str, ...]
+    begun: np.ndarray  # (k,), values that the search began at
+    covariance: np.ndarray  # (k, k)
+    starts: tuple[Start, ...]  # of each trial
+    chi2: float  # of all residuals and of what was weighed
+    freedom: int  # residuals less parameters
+    left: float  # predicted distance to the minimum, standard errors
+    restarts: tuple[tuple[float, float], ...]  # chi2 above the best, and standard errors away
+    agreement: Agreeing  # of all trials
+    agreements: tuple[Agreeing, ...]  # of each trial and the others
+    blocks: tuple[BlockMean, ...]  # means of residuals
+    scores: tuple[Score, ...]  # candidates for what the model lacks
+    lacking: tuple[Lacking, ...]
+    findings: tuple[Finding, ...]  # why it does not count; empty if it does
+    simulations: int
+    scene: Scene = field(repr=False)  # of the first trial, with the values
+    weighed: Mapping[str, Weighed] = field(default_factory=dict)
+    prediction: Prediction | None = field(default=None, repr=False)
+    problem: Problem | None = field(default=None, repr=False)
+    linear: Linear | None = field(default=None, repr=False)
+
+    @property
+    def is_found(self) -> bool:
+        """True if every test of the fit was passed."""
+        return not self.findings
+
+    @property
+    def reduced_chi2(self) -> float:
+        """chi2 per degree of freedom."""
+        return self.chi2 / self.freedom
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Correlations (k, k) of the errors."""
+        scale = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+        return np.asarray(self.covariance / np.outer(scale, scale))
+
+    def correlation_of(self, names: Sequence[str]) -> np.ndarray:
+        """Return correlations (n, n) of parameters, and of start poses and release of one trial."""
+        assert self.problem is not None
+        assert self.linear is not None
+        slopes = np.zeros((len(names), self.problem.dimension))
+        for row, name in zip(slopes, names, strict=True):
+            if name in self.names:
+                row[self.names.index(name)] = 1.0
+            else:
+                row[:] = self.starts[0].slopes[[*STARTS, "release"].index(name)]
+        covariance = slopes @ self.linear.covariance @ slopes.T
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        return np.asarray(covariance / np.outer(scale, scale))
+
+    @property
+    def fields(self) -> dict[str, float]:
+        """The values by path in a scene."""
+        assert self.problem is not None
+        return {
+            path: float(value)
+            for parameter, value in zip(self.problem.parameters, self.values, strict=True)
+            for path in parameter.paths
+        }
+
+
+def calibrate(
+    trials: Sequence[Run],
+    fit: Sequence[str] | None = None,
+    *,
+    weighed: Mapping[str, str | Weighed] | None = None,
+    predict: Scene | None = None,
+    placement: str | Placement | None = None,
+    until: float = math.inf,
+    restarts: int = RESTARTS,
+    seed: int = 0,
+    report: Callable[[int, int], None] | None = None,
+) -> Calibration:
+    """Fit the parameters of a bench to all of its trials, and test what the fit claims.
+
+    Each trial has its own start poses and release, which are fitted too; what was measured before
+    the release counts for the start.  Only the time up to the first ``launcher/hold`` after the
+    release is used.
+
+    Parameters
+    ----------
+    trials
+        Measured runs of one bench, of :func:`capture_sim.read_run`.
+    fit
+        Names of the shared parameters: ``c_rr`` (of both vehicles), ``e``, ``mu``, ``c_A``, fields
+        as ``buffer.k_A``, and errors of sensors: ``delay.buffer``, ``delay.target``,
+        ``scale.stroke``, ``scale.torsion``, ``scale.chaser``, ``scale.target``, ``offset.stroke``,
+        ``offset.torsion``.  None: the first four, both stiffnesses, masses and inertias.
+    weighed
+        Values that are known from elsewhere, by name, e.g. ``{"chaser.mass": "22.6 +- 0.02 kg"}``.
+        They are fitted too, and their errors enter the covariance.
+    predict
+        Scene of a trial to come; the result has its ``prediction``.
+    placement
+        Standard deviations of the placement in that trial, e.g. ``"0.2 mm, 1 mrad"``.
+    until
+        End of the measurements that are used, s since the release.
+    restarts
+        Number of restarts about the best place that must find no better one.
+    seed
+        Seed of the restarts and of the prediction.
+    report
+        Function called with the number of simulations made and about to be made.
+
+    Returns
+    -------
+    Calibration
+        Values, covariance and tests.  ``findings`` has the reasons why the fit does not count;
+        ``is_found`` is True without any.  After Ctrl-C it is the state so far, and says so.
+
+    Raises
+    ------
+    SceneError
+        A name is unknown or given twice, the trials are of different benches, there are fewer
+        measurements than parameters, or the scene cannot be simulated at the start.
+    RecordingError
+        A trial has no poses, or breaks a rule of plausibility.
+
+    Examples
+    --------
+    >>> import capture_sim  # doctest: +SKIP
+    >>> trials = [capture_sim.read_run(f"trial_{k}.mcap") for k in range(3)]  # doctest: +SKIP
+    >>> found = capture_sim.calibrate(
+    ...     trials, weighed={"chaser.mass": "22.6 +- 0.02 kg"}
+    ... )  # doctest: +SKIP
+    >>> found.is_found  # doctest: +SKIP
+    True
+    """
+    if not trials:
+        raise SceneError("trials: must be one run or more")
+    trials = [run.replaced(series=checked(run).series) for run in trials]
+    scene = trials[0].scene
+    for run in trials[1:]:
+        _check_same_bench(trials[0], run)
+    known = {
+        name: read_weighed(scene, f"{name}={given}")[1] if isinstance(given, str) else given
+        for name, given in (weighed or {}).items()
+    }
+    placed = read_placement(placement) if isinstance(placement, str) else placement
+    prepared = [
+        trial_of(
+            run,
+            touches=_touches_of(run),
+            until=until,
+            is_release_fitted=run.scene.string is not None,
+        )
+        for run in trials
+    ]
+    parameters = parameters_of(scene, fit, known)
+    found = fit_trials(prepared, parameters, restarts=restarts, seed=seed, report=report)
+    if predict is not None:
+        found = dataclasses.replace(found, prediction=predicted(found, predict, placed, seed=seed))
+    return dataclasses.replace(found, weighed=known)
+
+
+def _touches_of(run: Run) -> Touches | None:
+    """Return the first touches of a run, if its force is sampled fast enough for them."""
+    touches, _ = run.resolved_touches
+    if touches is None:
+        return None
+    return resolved(touches.of(slice(TOUCHES)).with_default_noise(*TOUCH_NOISE), launched(run))
+
+
+def predicted(
+    found: Calibration, scene: Scene, placement: Placement | None = None, *, seed: int = 0
+) -> Prediction:
+    """Return what a calibrated bench does in another scene."""
+    assert found.problem is not None
+    assert found.linear is not None
+    k = found.problem.shared
+    covariance = step_covariance(found.linear, found.problem)[:k, :k]
+    return predict(
+        scene, found.problem.parameters, found.linear.place[:k], covariance, placement, seed=seed
+    )
+
+
+def _check_same_bench(first: Run, other: Run) -> None:
+    """Raise SceneError if two runs are of different benches."""
+    ours, theirs = first.scene, other.scene
+    names = dict.fromkeys((*field_names(ours), *field_names(theirs)))
+    for name in names:
+        part = name.partition(".")[0]
+        if part in (*NO_PHYSICS, "initial", "name", "title"):
+            continue
+        if name in ("string.impact_speed", "string.hanging_mass", "string.drop_height"):
+            continue
+        if get(ours, name) != get(theirs, name):
+            raise SceneError(
+                f"{_where(other)}: {name} = {get(theirs, name)}, in {_where(first)} "
+                f"{get(ours, name)}: must be trials of one bench"
+            )
+
+
+def _where(run: Run) -> str:
+    return run.origin.path or run.name
+
+
+class _Progress:
+    """Counts simulations."""
+
+    def __init__(self, expected: int, report: Callable[[int, int], None] | None) -> None:
+        self.done, self.expected, self._report = 0, expected, report
+
+    def __call__(self) -> None:
+        self.done += 1
+        if self._report is not None:
+            self._report(self.done, max(self.expected, self.done))
+
+
+def fit_trials(
+    trials: Sequence[Trial],
+    parameters: Sequence[Parameter],
+    *,
+    restarts: int = RESTARTS,
+    seed: int = 0,
+    report: Callable[[int, int], None] | None = None,
+    is_noise_known: bool = False,
+    has_scores: bool = True,
+) -> Calibration:
+    """Fit parameters to trials and test the fit; see :func:`calibrate`.
+
+    ``is_noise_known``: the noises of the trials are right as they are.  ``has_scores``: also search
+    for what the model lacks.
+    """
+    compile_kernels()
+    counted = _Progress(
+        len(trials) * (2 * len(parameters) + 7) * _LINEAR_FITS * (4 + restarts) // 8, report
+    )
+    problem = Problem(trials, parameters, tick=counted)
+    if problem.rows < problem.dimension:
+        raise SceneError(
+            f"{problem.rows} measured values for {problem.dimension} parameters (with seven of "
+            "each trial): must be more values than parameters"
+        )
+    begin = begins(parameters)
+    _check_start(problem, begin)
+    fitting = _Fitting(problem)
+    try:
+        fitting.run(begin, restarts, seed, is_noise_known=is_noise_known)
+        found = _tested(fitting, has_scores=has_scores)
+    except KeyboardInterrupt:
+        if fitting.latest is None:
+            raise
+        found = fitting.unfinished()
+    return dataclasses.replace(found, simulations=counted.done)
+
+
+def _check_start(problem: Problem, begin: np.ndarray) -> None:
+    """Raise an error if a trial cannot be simulated where the search begins."""
+    place = np.zeros(problem.dimension)
+    place[: problem.shared] = begin
+    fields, _ = problem.values(place)
+    for trial in problem.trials:
+        try:
+            bench = Bench(with_values(trial.scene, fields))
+            bench.advance(np.array([min(max(trial.end, 0.01), trial.scene.run.t_end)]))
+        except (SceneError, SimulationError) as error:
+            raise SceneError(f"{trial.name}: cannot be simulated at the start: {error}") from None
+
+
+class _Fitting:
+    """A fit in progress, whose latest state can be had at any time."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.latest: tuple[Problem, Linear] | None = None
+        self.found: Found | None = None
+
+    def run(self, begin: np.ndarray, restarts: int, seed: int, *, is_noise_known: bool) -> None:
+        """Fit over a growing horizon, then with the noise of the residuals, then from restarts."""
+        rng = np.random.default_rng(seed)
+        search = self._grown(self.problem, begin, rng)
+        if not is_noise_known:
+            search = self._renoised(search)
+        if restarts and _block_finding(block_means(search.linear, self.problem), self.problem):
+            # chatter may hold the whole horizon in a false minimum: once more from elsewhere
+            before, first = self.problem, search
+            low, high = (limits[: begin.size] for limits in before.limits)
+            there = np.clip(begin + _ELSEWHERE * rng.standard_normal(begin.size), low, high)
+            search = self._grown(before, there, rng)
+            if search.linear.chi2 >= first.linear.chi2:
+                search = first
+            elif not is_noise_known:
+                search = self._renoised(search)
+        self.found = Found(search)
+        if _block_finding(block_means(search.linear, self.problem), self.problem) is None:
+            self.found = restart(self.problem, search, rng, restarts)
+        self._keep(self.found.best.linear)
+
+    def _grown(self, problem: Problem, begin: np.ndarray, rng: np.random.Generator) -> Search:
+        place, covariance = grow(problem, begin, rng, self._keep_early)
+        return self._search(problem, place, covariance)
+
+    def _renoised(self, search: Search) -> Search:
+        """Search again with the noise of the residuals."""
+        problem = renoised(self.problem, sigma_of(self.problem, search.linear))
+        at = search.linear
+        return self._search(problem, at.place, step_covariance(at, problem))
+
+    def _search(self, problem: Problem, place: np.ndarray, covariance: np.ndarray | None) -> Search:
+        self.problem = problem
+        search = descend(problem, place, problem.weighed(), covariance, keep=self._keep)
+        if search is None:
+            raise SceneError(
+                "the search left the range in which the bench works: begin nearer to the bench"
+            )
+        return search
+
+    def _keep_early(self, part: Problem, at: Linear) -> None:
+        self.latest = part, at
+
+    def _keep(self, at: Linear) -> None:
+        self.latest = self.problem, at
+
+    def unfinished(self) -> Calibration:
+        """Return the latest state, which is not found."""
+        assert self.latest is not None
+        problem, at = self.latest
+        finding = Finding(
+            "unfinished",
+            "unfinished: interrupted before the search and its tests had ended",
+            "start it again",
+        )
+        return _result(problem, Found(Search(at, 0)), [finding])
+
+
+def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
+    """Return the result of a fit with its tests."""
+    assert fitting.found is not None
+    problem, found = fitting.problem, fitting.found
+    at = found.best.linear
+    findings: list[Finding] = []
+    reason, _ = convergence(found)
+    if reason:
+        findings.append(
+            Finding(
+                "convergence",
+                f"not converged: {reason}",
+                "fit fewer parameters, weigh one, or start nearer to the bench",
+            )
+        )
+    whole, each = trials_agree(at, problem)
+    if whole.p < ALARM_TRIALS:
+        worst = int(np.argmax([one.statistic for one in each]))
+        findings.append(
+            Finding(
+                "trials",
+                f"the trials do not agree (chi2 {whole.statistic:.4g} for {whole.freedom}): "
+                f"{problem.trials[worst].name} is furthest from the others "
+                f"({each[worst].statistic:.4g} for {each[worst].freedom})",
+                "leave it out, or look for what changed on the bench",
+            )
+        )
+    blocks = block_means(at, problem)
+    if (finding := _block_finding(blocks, problem)) is not None:
+        findings.append(finding)
+    candidates = scores(at, problem) if has_scores else []
+    lacking: list[Lacking] = []
+    if candidates and candidates[0].gain > NAMED:
+        lacking = _what_lacks(problem, at, candidates)
+    for one in lacking:
+        advice = (
+            f"add it to the fit: {one.score.name}"
+            if one.score.can_be_fitted
+            else ("add it to the scene")
+        )
+        if one.score.name in SENSOR_ERRORS and one.score.name.startswith("delay"):
+            advice += ", or set the clock right"
+        findings.append(Finding("lacks", lacking_text(one), advice))
+    for parameter in at_bounds(at.place, problem):
+        value = parameter.value(float(at.place[list(problem.parameters).index(parameter)]))
+        findings.append(
+            Finding(
+                "bound",
+                f"{parameter.name} = {value:.6g} {parameter.unit}".rstrip()
+                + " is at the end of its range",
+                "the model lacks something, or the scene's other values are wrong",
+            )
+        )
+    for direction, _ in undetermined(at, problem):
+        findings.append(Finding("undetermined", *direction_words(problem.parameters, direction)))
+    return _result(problem, found, findings, whole, each, blocks, candidates, lacking)
+
+
+def lacking_text(one: Lacking) -> str:
+    """Return what the model lacks, in words."""
+    value = (
+        f"{one.estimate:.4g} +- {one.error:.2g}"
+        if math.isfinite(one.error)
+        else (f"about {one.estimate:.3g}")
+    )
+    unit = "" if one.score.unit == "1" else f" {one.score.unit}"
+    return (
+        f"the model lacks {one.score.name} = {value}{unit} ({one.score.words}): "
+        f"chi2 falls by {one.gain:.4g} with it"
+    )
+
+
+def _block_finding(blocks: Sequence[BlockMean], problem: Problem) -> Finding | None:
+    """Return the finding on the means of residuals; None if they are those of noise."""
+    if not blocks:
+        return None
+    worst = min(blocks, key=lambda block: (block.p, -block.statistic / block.means))
+    if worst.p * len(blocks) >= ALARM_BLOCKS:
+        return None
+    parts = {3: ("x", "y", "theta"), 1: ("",)}
+    trial = problem.trials[worst.trial]
+    width = next(c.values.shape[1] for c in trial.channels if c.name == worst.channel)
+    name = f"{worst.channel} {parts[width][worst.part]}".strip()
+    return Finding(
+        "residuals",
+        f"the residuals are not noise: means over 30 ms of {name} in phase {worst.phase} of "
+        f"{trial.name} have chi2 {worst.statistic:.4g} for {worst.means}",
+        "see what the model lacks, leave the trial out, or start nearer to the bench",
+    )
+
+
+def _what_lacks(problem: Problem, at: Linear, candidates: Sequence[Score]) -> list[Lacking]:
+    """Return the parameters that the model lacks, added one at a time."""
+    found: list[Lacking] = []
+    for _ in range(_MOST_ADDED):
+        likely = [score for score in candidates if score.gain > NAMED]
+        likely = [s for s in likely if s.gain > _ALIKE * likely[0].gain][:_TRIED]
+        if not likely:
+            break
+        best: tuple[Lacking, Problem, Linear] | None = None
+        for score in likely:
+            tried = _with(problem, at, score)
+            if tried is not None and (best is None or tried[0].gain > best[0].gain):
+                best = tried
+        if best is None:
+            one = likely[0]
+            found.append(Lacking(one, one.estimate, one.error, one.gain))
+            break
+        if at.chi2 > _BAD * problem.rows:
+            best = _with(problem, at, best[0].score, grown=True) or best
+        found.append(best[0])
+        problem, at = best[1:]
+        candidates = scores(at, problem)
+    return found
+
+
+def _with(
+    problem: Problem, at: Linear, score: Score, *, grown: bool = False
+) -> tuple[Lacking, Problem, Linear] | None:
+    """Return a fit with one more parameter, begun at its estimate; None if it cannot be had."""
+    if not score.can_be_fitted:
+        return None
+    scene = problem.trials[0].scene
+    if score.name in COMPUTED and get(scene, score.name) is None:
+        scene = with_values(scene, {score.name: score.estimate})
+    (added,) = parameters_of(scene, [score.name])
+    low, high = added.limits
+    start = (
+        added.coordinate(score.estimate)
+        if not added.is_log
+        else (
+            added.coordinate(added.begin)
+            + float(np.clip(score.estimate / added.begin - 1.0, -0.7, 0.7))
+        )
+    )
+    if not math.isfinite(start):
+        return None
+    start = float(np.clip(start, low, high))
+    # a parameter that the fit has as a part of another one stays there: c_rr of both vehicles
+    wider = Problem(problem.trials, [*problem.parameters, begun_at(added, score.estimate)])
+    wider.tick = problem._count
+    place = np.insert(at.place, problem.shared, start)
+    prior = wider.weighed()
+    d = wider.dimension
+    covariance = np.zeros((d, d))
+    kept = [i for i in range(d) if i != problem.shared]
+    covariance[np.ix_(kept, kept)] = step_covariance(at, problem)
+    size = added.slope(start)
+    covariance[problem.shared, problem.shared] = min((score.error / size) ** 2, 1e-2)
+    search = descend(wider, place, prior, covariance, most=_ADDED_STEPS)
+    if grown and at.chi2 > _BAD * problem.rows:
+        # a wrong model has driven the others far off: all of them begin again
+        begin = begins(wider.parameters)
+        begin[-1] = start
+        there, spread_there = grow(wider, begin, np.random.default_rng(0))
+        again = descend(wider, there, prior, spread_there, most=_ADDED_STEPS)
+        if search is None or (again is not None and again.linear.chi2 < search.linear.chi2):
+            search = again
+    if search is None:
+        return None
+    end = search.linear
+    value = added.value(float(end.place[problem.shared]))
+    spread = math.sqrt(max(end.covariance[problem.shared, problem.shared], 0.0))
+    error = spread * added.slope(float(end.place[problem.shared]))
+    return Lacking(score, value, error, at.chi2 - end.chi2), wider, end
+
+
+def _result(
+    problem: Problem,
+    found: Found,
+    findings: Sequence[Finding],
+    whole: Agreeing | None = None,
+    each: Sequence[Agreeing] = (),
+    blocks: Sequence[BlockMean] = (),
+    candidates: Sequence[Score] = (),
+    lacking: Sequence[Lacking] = (),
+) -> Calibration:
+    """Return a fit as users read it."""
+    at, k = found.best.linear, problem.shared
+    covariance = step_covariance(at, problem)
+    slopes = np.array(
+        [p.slope(float(x)) for p, x in zip(problem.parameters, at.place[:k], strict=True)]
+    )
+    values = np.array(
+        [p.value(float(x)) for p, x in zip(problem.parameters, at.place[:k], strict=True)]
+    )
+    shared = covariance[:k, :k] * np.outer(slopes, slopes)
+    errors = np.sqrt(np.maximum(np.diag(shared), 0.0))
+    for direction, error in undetermined(at, problem):
+        if not math.isfinite(error):
+            errors[np.abs(direction) > 1e-3] = math.inf
+    fields, _ = problem.values(at.place)
+    first = problem.trials[0].scene
+    return Calibration(
+        names=tuple(p.name for p in problem.parameters),
+        values=values,
+        errors=errors,
+        units=tuple(p.unit for p in problem.parameters),
+        begun=np.array([p.begin for p in problem.parameters]),
+        covariance=shared,
+        starts=tuple(_start_of(problem, at, n, covariance) for n in range(len(problem.trials))),
+        chi2=at.chi2,
+        freedom=max(problem.rows - problem.dimension + int(problem.fixed.sum()), 1),
+        left=found.best.left,
+        restarts=tuple(found.restarts),
+        agreement=whole or Agreeing(0.0, 0, 1.0),
+        agreements=tuple(each),
+        blocks=tuple(blocks),
+        scores=tuple(candidates),
+        lacking=tuple(lacking),
+        findings=tuple(findings),
+        simulations=problem.simulations,
+        scene=with_values(first, fields),
+        problem=problem,
+        linear=at,
+    )
+
+
+def _start_of(problem: Problem, at: Linear, number: int, covariance: np.ndarray) -> Start:
+    """Return where a trial began."""
+    trial, own = problem.trials[number], problem.own(number)
+
+    def poses(coordinates: np.ndarray) -> np.ndarray:
+        along, across, turned, x, y, theta, _ = coordinates * OWN_SIZE
+        initial = trial.scene.initial
+        c, s = math.cos(theta), math.sin(theta)
+        away = np.array([initial.target.x + along, initial.target.y + across])
+        away -= [initial.chaser.x, initial.chaser.y]
+        chaser = np.array([initial.chaser.x + x, initial.chaser.y + y])
+        target = chaser + np.array([[c, -s], [s, c]]) @ away
+        angles = initial.chaser.theta + theta, initial.target.theta + turned + theta
+        return np.array([*chaser, angles[0], *target, angles[1]])
+
+    place = at.place[own]
+    slopes = np.stack(
+        [(poses(place + d) - poses(place - d)) / 2e-3 for d in 1e-3 * np.eye(len(place))], axis=1
+    )
+    full = np.zeros((len(STARTS) + 1, problem.dimension))
+    full[:-1, own] = slopes
+    full[-1, own.stop - 1] = OWN_SIZE[-1]
+    errors = np.sqrt(np.maximum(np.diag(full @ covariance @ full.T), 0.0))
+    return Start(
+        trial=trial.name,
+        values=poses(place),
+        errors=errors[:-1],
+        release=float(place[-1] * OWN_SIZE[-1]),
+        release_error=float(errors[-1]),
+        is_release_fitted=trial.is_release_fitted,
+        slopes=full,
+        end=trial.end,
+        cut=trial.cut,
+        noise={channel.name: channel.sigma for channel in trial.channels},
+    )

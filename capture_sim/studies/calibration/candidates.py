@@ -1,0 +1,230 @@
+"""Score tests: what the model lacks, by the gain of one more parameter at the optimum.
+
+Of each candidate the derivative of the residuals is computed, less the part that the fitted
+parameters explain; its gain is the decrease of chi2 with all others readjusted, in the linear
+model (Rao, 1948).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.scene.parts import Scene, Stops
+from capture_sim.scene.paths import ALIASES, get, range_of, with_values
+from capture_sim.studies.calibration.joint import Linear, Problem
+from capture_sim.studies.calibration.parameters import (
+    SENSOR_ERRORS,
+    declaration,
+    default_names,
+)
+from capture_sim.studies.calibration.trial import sensor_column
+
+#: Gain of chi2 that names a candidate: chance alone gives it once in 100 000 per candidate.
+NAMED = 20.0
+#: A step of a candidate changes chi2 by about one, after one correction beyond these factors.
+_TOO_SMALL, _TOO_LARGE = 0.2, 5.0
+#: A stop is tried at this share of the longest stroke that was measured.
+_STOP_SHARE, _STOP_STIFFNESS = 0.95, 2e4
+
+
+class Score(NamedTuple):
+    """What one more parameter would change."""
+
+    name: str  # as --fit takes it; of the stops, their part
+    words: str
+    gain: float  # decrease of chi2
+    estimate: float  # SI
+    error: float  # standard error, SI
+    unit: str
+    can_be_fitted: bool = True
+
+
+@dataclass(frozen=True)
+class _Field:
+    """A number of the scene as a candidate."""
+
+    name: str
+    words: str
+    guess: Callable[[Scene], float]  # step that changes a motion a little, SI
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """Where it is in a scene."""
+        return ALIASES.get(self.name) or (self.name,)
+
+
+def _share(path: str, share: float) -> Callable[[Scene], float]:
+    return lambda scene: share * abs(float(get(scene, path) or 0.0))
+
+
+def _stiffness(scene: Scene) -> float:
+    """Return the stiffness of the contact, N/m^p."""
+    return float(scene.contact_stiffness)
+
+
+#: Fields that are null where another one gives their value.
+COMPUTED: Mapping[str, Callable[[Scene], float]] = {
+    "buffer.c_A_rebound": lambda scene: scene.buffer.c_A,
+    "contact.stiffness": _stiffness,
+}
+
+_FIELDS = (
+    _Field("buffer.friction", "friction of the probe in its slide", lambda s: 0.01),
+    _Field("buffer.c_A_rebound", "another damping outwards", lambda s: 0.01 * s.buffer.c_A),
+    _Field("buffer.c_A2", "quadratic damping", lambda s: 0.1 * s.buffer.c_A),
+    _Field("buffer.k_A3", "progressive axial spring", lambda s: 20.0 * s.buffer.k_A),
+    _Field("buffer.c_T", "torsional damping", lambda s: 1e-3 * s.buffer.k_T),
+    _Field("buffer.k_T3", "progressive torsional spring", lambda s: 100.0 * s.buffer.k_T),
+    _Field("contact.stiffness", "contact stiffness", lambda s: 0.1 * _stiffness(s)),
+    _Field("latch.stiffness", "stiffness of the latch", _share("latch.stiffness", 0.05)),
+    _Field("latch.damping", "damping of the latch", _share("latch.damping", 0.05)),
+    _Field("latch.radius", "distance at which the latch closes", _share("latch.radius", 0.01)),
+    _Field("supports.target.c_rr", "rolling resistance of the target by itself", lambda s: 1e-5),
+    _Field("string.pulley_inertia", "inertia of the pulley", lambda s: 1e-7),
+    _Field("cone.half_angle", "angle of the cone", lambda s: 1e-3),
+    _Field("buffer.hinge_offset", "place of the hinge", lambda s: 1e-4),
+    *(
+        _Field(f"stops.{name}", "stop", _share(f"stops.{name}", 0.01))
+        for name in ("compression", "extension", "stiffness")
+    ),
+)
+
+
+def scores(at: Linear, problem: Problem) -> list[Score]:
+    """Return the candidates with the gain of each, largest first."""
+    found = [score for score in _all(at, problem) if math.isfinite(score.gain)]
+    return sorted(found, key=lambda score: -score.gain)
+
+
+def _all(at: Linear, problem: Problem) -> Iterator[Score]:
+    scene = problem.trials[0].scene
+    fitted = {p.name for p in problem.parameters}
+    paths = {path for p in problem.parameters if len(p.paths) == 1 for path in p.paths}
+    names = {channel.name for trial in problem.trials for channel in trial.channels}
+    for name, error in SENSOR_ERRORS.items():
+        if name in fitted or not set(error.channel) & names:
+            continue
+        columns = [
+            sensor_column(trial, one.motion, one.view, name) * error.size
+            for trial, one in zip(problem.trials, at.shown, strict=True)
+        ]
+        yield _score(at, problem, name, error.words, columns, error.value, error.size, error.unit)
+    others = (
+        _Field(
+            name, "another value than the scene's", _share((ALIASES.get(name) or (name,))[0], 0.01)
+        )
+        for name in default_names(scene)
+        if name not in fitted
+    )
+    for field in (*_FIELDS, *others):
+        if set(field.paths) <= paths or not _has(scene, field.paths[0]):
+            continue
+        if (score := _field_score(at, problem, field)) is not None:
+            yield score
+    if scene.stops is None and (score := _stop_score(at, problem)) is not None:
+        yield score
+
+
+def _has(scene: Scene, path: str) -> bool:
+    """Return True if a field is a number of this scene, or may be one."""
+    owner, _, name = path.rpartition(".")
+    part = get(scene, owner)
+    if part is None or not hasattr(part, name):
+        return False
+    if path == "buffer.c_A_rebound":
+        return scene.buffer.c_A > 0.0
+    if path == "contact.stiffness":
+        return scene.contact.force_table is None
+    if path == "buffer.k_A3" and scene.buffer.force_table is not None:
+        return False
+    return isinstance(getattr(part, name), (int, float))
+
+
+def _field_score(at: Linear, problem: Problem, field: _Field) -> Score | None:
+    fields, _ = problem.values(at.place)
+    scene, path = problem.trials[0].scene, field.paths[0]
+    value = get(scene, path)
+    if value is None:
+        fitted: Scene = with_values(scene, fields)
+        value = COMPUTED[path](fitted)
+    value = float(fields.get(path, value))
+    low, high = range_of(scene, path)
+    unit, step = declaration(scene, path).unit, field.guess(scene)
+    if not step > 0.0:
+        return None
+    step = step if value + step < high else -step
+    for attempt in range(3):
+        columns = _columns(at, problem, dict.fromkeys(field.paths, value + step))
+        if columns is None:
+            return None
+        score = _score(at, problem, field.name, field.words, columns, value, step, unit)
+        change = abs(step) / score.error if score.error > 0.0 else 0.0
+        if change == 0.0 or attempt == 2 or _TOO_SMALL < change < _TOO_LARGE:
+            break
+        wanted = abs(step) / max(change, 1e-6)
+        step = math.copysign(min(wanted, max(0.3 * abs(value), 30.0 * abs(step))), step)
+    if value <= low and score.estimate < value:
+        score = score._replace(gain=0.0)  # below its range: nothing that a bench could have
+    return score
+
+
+def _columns(at: Linear, problem: Problem, more: dict[str, float]) -> list[np.ndarray] | None:
+    """Return the change of each trial's residuals with other values of fields."""
+    columns = []
+    for number, one in enumerate(at.shown):
+        there = problem.show(number, at.place, more)
+        if there is None:
+            return None
+        columns.append(there.residuals - one.residuals)
+    return columns
+
+
+def _stop_score(at: Linear, problem: Problem) -> Score | None:
+    """Return the gain of a stop near the longest stroke."""
+    strokes = [
+        channel.values for t in problem.trials for channel in t.channels if channel.name == "stroke"
+    ]
+    longest = -min((float(values.min()) for values in strokes), default=0.0)
+    if longest <= 1e-4:
+        return None
+    stops = Stops(_STOP_SHARE * longest, None, _STOP_STIFFNESS, 0.0)
+    columns = _columns(at, problem, {"stops": stops})  # type: ignore[dict-item]
+    if columns is None:
+        return None
+    score = _score(at, problem, "stops", "a stop of the probe", columns, 0.0, 1.0, "1")
+    # the column is a whole stop: a share below nothing or beyond it is none
+    if score.estimate < 0.2:
+        score = score._replace(gain=0.0)
+    return score._replace(
+        estimate=_STOP_SHARE * longest, error=math.nan, unit="m", can_be_fitted=False
+    )
+
+
+def _score(
+    at: Linear,
+    problem: Problem,
+    name: str,
+    words: str,
+    columns: list[np.ndarray],
+    value: float,
+    step: float,
+    unit: str,
+) -> Score:
+    """Return the score of a candidate by the changes of the residuals along a step."""
+    cross, along, size = np.zeros(problem.dimension), 0.0, 0.0
+    for number, (column, one, J) in enumerate(zip(columns, at.shown, at.jacobians, strict=True)):
+        cross[np.r_[0 : problem.shared, problem.own(number)]] += J.T @ column
+        along += float(column @ one.residuals)
+        size += float(column @ column)
+    covariance = at.covariance
+    along -= float(cross @ covariance @ at.gradient)
+    left = size - float(cross @ covariance @ cross)
+    if left <= 1e-9 * size or size == 0.0:  # the fitted parameters explain it
+        return Score(name, words, 0.0, value, math.inf, unit)
+    error = abs(step) / math.sqrt(left)
+    return Score(name, words, along**2 / left, value - step * along / left, error, unit)

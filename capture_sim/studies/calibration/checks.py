@@ -1,0 +1,238 @@
+"""What a fit claims, tested: searches that agree, trials that agree, residuals that are noise.
+
+A false minimum looks fine by itself: its predicted decrease is small and its chi2 is that of noise.
+What shows it are restarts, trials that disagree, and residuals whose means over 30 ms are not those
+of noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.studies.calibration.descent import Found
+from capture_sim.studies.calibration.joint import UNDETERMINED, Linear, Problem
+from capture_sim.studies.calibration.parameters import Parameter
+from capture_sim.studies.calibration.trial import OWN_SIZE, Trial
+
+#: Duration of the means of residuals, s.
+BLOCK = 0.03
+#: Phases of a trial, and when they end, s after the first contact; the first ends at the release.
+PHASES = ("held", "approach", "contact", "after")
+_APPROACH_END, _CONTACT_END = -0.02, 0.25
+#: Chances of a wrong alarm: of trials that agree, and of all means of residuals together.
+ALARM_TRIALS, ALARM_BLOCKS = 1e-4, 1e-3
+#: A fit has converged if the linear model predicts a decrease of chi2 below this, and if restarts
+#: that end as low as this, end as near as this, in standard errors; so many must.
+LEFT, AS_LOW, AS_NEAR, AGREEING = 2.0, 4.0, 2.0, 2
+#: A direction with a standard error above this, in coordinates, is not determined.
+VAGUE = 0.5
+
+
+class Finding(NamedTuple):
+    """A reason why a fit does not count, and what to do about it."""
+
+    kind: str
+    text: str
+    advice: str
+
+    @property
+    def line(self) -> str:
+        """Both in one line."""
+        return f"{self.text}; {self.advice}"
+
+
+class Agreeing(NamedTuple):
+    """Whether trials, or a trial and the others, have the same parameters."""
+
+    statistic: float
+    freedom: int
+    p: float
+
+
+class BlockMean(NamedTuple):
+    """Means of the residuals of a measured number in a phase of a trial."""
+
+    trial: int
+    channel: str
+    part: int
+    phase: str
+    statistic: float  # sum of the squares of the means, in units of their noise
+    means: int  # number of them
+    p: float
+
+
+def chi2_tail(statistic: float, freedom: int) -> float:
+    """Return the probability of a larger chi2."""
+    from scipy.stats import chi2
+
+    return float(chi2.sf(statistic, freedom)) if freedom > 0 else 1.0
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Information of one trial on the shared parameters, with its own numbers adjusted."""
+
+    hessian: np.ndarray  # (k, k)
+    gradient: np.ndarray  # (k,)
+
+
+def reduced(at: Linear, number: int, shared: int) -> Reduced:
+    """Return the information of a trial, without any prior."""
+    J, r = at.jacobians[number], at.shown[number].residuals
+    H, g = J.T @ J, J.T @ r
+    cross, own = H[:shared, shared:], H[shared:, shared:]
+    scale = np.sqrt(np.maximum(np.diag(own), 1e-300))
+    inverted = np.linalg.pinv(own / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    inverted /= np.outer(scale, scale)
+    return Reduced(
+        H[:shared, :shared] - cross @ inverted @ cross.T, g[:shared] - cross @ inverted @ g[shared:]
+    )
+
+
+def _distance(hessian: np.ndarray, gradient: np.ndarray) -> tuple[float, int]:
+    """Return the squared distance of a minimum in standard errors, and its freedoms."""
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
+    kept = values > 1e-8 * max(float(values[-1]), 1e-300)
+    along = vectors.T @ (gradient / scale)
+    return float((along[kept] ** 2 / values[kept]).sum()), int(kept.sum())
+
+
+def trials_agree(at: Linear, problem: Problem) -> tuple[Agreeing, list[Agreeing]]:
+    """Return whether all trials have the same parameters, and each the same as the others."""
+    k = problem.shared
+    if len(problem.trials) < 2 or k == 0:
+        return Agreeing(0.0, 0, 1.0), []
+    parts = [reduced(at, number, k) for number in range(len(problem.trials))]
+    H = sum((part.hessian for part in parts), np.zeros((k, k)))
+    g = sum((part.gradient for part in parts), np.zeros(k))
+    joint, rank = _distance(H, g)
+    distances = [_distance(part.hessian, part.gradient) for part in parts]
+    statistic = max(sum(d for d, _ in distances) - joint, 0.0)
+    freedom = sum(n for _, n in distances) - rank
+    whole = Agreeing(statistic, freedom, chi2_tail(statistic, freedom))
+    each = []
+    for part, (own, n) in zip(parts, distances, strict=True):
+        rest, m = _distance(H - part.hessian, g - part.gradient)
+        apart = max(own + rest - joint, 0.0)
+        each.append(Agreeing(apart, n + m - rank, chi2_tail(apart, n + m - rank)))
+    return whole, each
+
+
+def block_means(at: Linear, problem: Problem) -> list[BlockMean]:
+    """Return the means of the residuals over 30 ms by trial, measured number and phase."""
+    found = []
+    for number, (trial, one) in enumerate(zip(problem.trials, at.shown, strict=True)):
+        release = float(at.place[problem.own(number)][-1] * OWN_SIZE[-1])
+        begin = 0
+        for channel in trial.channels:
+            size = channel.values.size
+            rows = one.residuals[begin : begin + size].reshape(channel.values.shape)
+            begin += size
+            phases = _phases(trial, channel.t, release)
+            blocks = np.floor((channel.t - channel.t[0]) / BLOCK).astype(int)
+            for phase, name in enumerate(PHASES):
+                inside = phases == phase
+                if inside.sum() < 4:
+                    continue
+                _, block = np.unique(blocks[inside], return_inverse=True)
+                counts = np.bincount(block)
+                for part in range(channel.values.shape[1]):
+                    sums = np.bincount(block, weights=rows[inside][:, part])
+                    statistic = float((sums**2 / counts).sum())
+                    found.append(
+                        BlockMean(
+                            number,
+                            channel.name,
+                            part,
+                            name,
+                            statistic,
+                            counts.size,
+                            chi2_tail(statistic, counts.size),
+                        )
+                    )
+    return found
+
+
+def _phases(trial: Trial, t: np.ndarray, release: float) -> np.ndarray:
+    """Return the number of the phase at each time, (n,)."""
+    ends = [release, trial.contact + _APPROACH_END, trial.contact + _CONTACT_END]
+    return np.searchsorted(np.maximum.accumulate(ends), t, side="right")
+
+
+def undetermined(at: Linear, problem: Problem) -> list[tuple[np.ndarray, float]]:
+    """Return directions of the shared parameters without information, with their errors.
+
+    Each direction is (k,), of length one in coordinates; an error may be infinite.
+    """
+    k = problem.shared
+    if not k:
+        return []
+    H, rest = at.hessian[:k, :k], at.hessian[k:, k:]
+    cross = at.hessian[:k, k:]
+    scale = np.sqrt(np.maximum(np.diag(rest), 1e-300))
+    inverted = np.linalg.pinv(rest / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    information = H - cross @ (inverted / np.outer(scale, scale)) @ cross.T
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    floor = UNDETERMINED * max(float(values[-1]), 1e-300)
+    found = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        error = math.inf if value <= floor else 1.0 / math.sqrt(value)
+        if error > VAGUE:
+            found.append((vector, error))
+    return found
+
+
+def direction_words(parameters: Sequence[Parameter], direction: np.ndarray) -> tuple[str, str]:
+    """Return what a direction without information means, and what to do about it."""
+    main = np.flatnonzero(np.abs(direction) > 0.25 * np.abs(direction).max()).tolist()
+    names = [parameters[i].name for i in main]
+    if len(names) == 1:
+        return (
+            f"{names[0]}: the measurements do not depend on it",
+            "leave it out of the fit, or make a trial that depends on it",
+        )
+    listed = f"{', '.join(names[:-1])} and {names[-1]}"
+    # masses, inertias and stiffnesses that all grow together change no motion
+    same = len({math.copysign(1.0, direction[i]) for i in main}) == 1
+    logs = all(parameters[i].is_log for i in main)
+    if same and logs and any(name.endswith(("mass", "inertia")) for name in names):
+        text = f"only the ratios of {listed} are determined, not their size"
+        masses = [name for name in names if name.endswith("mass")] or names
+        return text, f"weigh one: --weighed {masses[0]}='VALUE +- ERROR kg'"
+    text = f"only a combination of {listed} is determined"
+    return text, "leave one out of the fit, or give it by --weighed"
+
+
+def at_bounds(place: np.ndarray, problem: Problem) -> list[Parameter]:
+    """Return the parameters at an end of their range."""
+    found = []
+    for parameter, coordinate in zip(problem.parameters, place[: problem.shared], strict=True):
+        low, high = parameter.limits
+        if coordinate - low < 1e-6 or high - coordinate < 1e-6:
+            found.append(parameter)
+    return found
+
+
+def convergence(found: Found) -> tuple[str, int]:
+    """Return why a fit has not converged, empty if it has, and how many restarts agree."""
+    agreeing = sum(higher < AS_LOW and apart < AS_NEAR for higher, apart in found.restarts)
+    other = [apart for higher, apart in found.restarts if higher < AS_LOW and apart >= AS_NEAR]
+    if found.best.linear.decrease > LEFT:
+        return f"the search ended {found.best.left:.2g} standard errors from its aim", agreeing
+    if other:
+        return (
+            f"restarts fit as well {max(other):.2g} standard errors away",
+            agreeing,
+        )
+    if len(found.restarts) >= AGREEING and agreeing < AGREEING:
+        return (
+            f"only {agreeing} of {len(found.restarts)} restarts came back to the same place",
+            agreeing,
+        )
+    return "", agreeing

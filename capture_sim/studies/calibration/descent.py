@@ -1,0 +1,371 @@
+"""The search: over a growing horizon, by Levenberg and Marquardt's steps, with restarts.
+
+The first contact decides all that follows it, and a fit of the whole trial from values that are
+some percent off ends in one of many false minima of the chatter.  So the fit runs to times before
+the first contact, then to a few hundredths of a second after it, and so on; each is near enough to
+the next.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from capture_sim.dynamics.bench import Bench
+from capture_sim.errors import SimulationError
+from capture_sim.run.series import PARTS
+from capture_sim.studies.calibration.joint import Linear, Prior, Problem, inverse
+from capture_sim.studies.calibration.trial import OWN, OWN_SIZE, Trial
+
+#: Ends of the horizon, s after the first contact.
+HORIZON = (-0.8, -0.25, -0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 0.9)
+#: Standard errors of the priors of the early fits: of a logarithm, of another coordinate, and of
+#: the relative start, in units of OWN_SIZE.
+_WEAK_LOG, _WEAK, _WEAK_START = 0.5, 0.3, (5.0, 5.0, 20.0)
+#: A predicted decrease of chi2 below this ends a search; of an early fit.
+_ENOUGH, _ENOUGH_EARLY = 0.1, 1.0
+_STEPS, _STEPS_EARLY = 12, 5
+#: An early fit explains what was added to a shorter one if chi2 grows by less than this share of
+#: the values added and so many standard deviations of noise; else it starts again from so many
+#: draws, and the step of the horizon is halved down to this, s, at most so often.
+_EXCESS, _EXCESS_NOISE = 1.15, 4.0
+_DRAWN, _FINEST, _MOST_HALVED = 2, 0.03, 5
+#: Damping of the first step, relative to the diagonal, and its change after a step.
+_DAMPING, _EASIER, _HARDER, _STIFFEST = 1e-3, 0.1, 8.0, 1e4
+#: Longest step of a shared parameter, in coordinates.
+_LONGEST_STEP = 0.7
+#: Restarts begin so many standard errors from the best place.
+_AWAY = 1.5
+#: Restarts that a fit makes at least, and at most if one of them finds a better place.
+RESTARTS, _MOST_RESTARTS = 4, 10
+#: A restart that ends lower than this is a better place; kinks leave a roughness of a few units.
+_BETTER = 0.5
+#: How far the release is searched from the one that is assumed, s, later at least to the contact,
+#: and the step of that search.
+_RELEASE_RANGE, _RELEASE_STEP = 3.0, 0.01
+
+
+@dataclass
+class Search:
+    """A search that has ended."""
+
+    linear: Linear
+    steps: int
+
+    @property
+    def left(self) -> float:
+        """Distance to the minimum that the linear model predicts, in standard errors."""
+        return math.sqrt(max(self.linear.decrease, 0.0))
+
+
+@dataclass
+class Found:
+    """The best of a fit's searches, and where the others ended."""
+
+    best: Search
+    #: chi2 above the best one, and distance from it in standard errors, of each restart.
+    restarts: list[tuple[float, float]] = field(default_factory=list)
+
+
+def descend(
+    problem: Problem,
+    place: np.ndarray,
+    prior: Prior,
+    covariance: np.ndarray | None,
+    *,
+    enough: float = _ENOUGH,
+    most: int = _STEPS,
+    keep: Callable[[Linear], None] = lambda at: None,
+) -> Search | None:
+    """Search for the least chi2 from a place; None if no trial works there."""
+    known = problem.chi2(place, prior)
+    if not known[1]:
+        return None
+    at = problem.linear(place, prior, covariance, known)
+    keep(at)
+    damping = _DAMPING
+    low, high = problem.limits
+    for step in range(most):
+        if at.decrease < enough:
+            return Search(at, step)
+        while damping < _STIFFEST:
+            diagonal = np.maximum(np.diag(at.hessian), 1e-12)
+            damped = at.hessian + damping * np.diag(diagonal)
+            free = at.free
+            move = np.zeros(place.size)
+            move[free] = -np.linalg.solve(damped[np.ix_(free, free)], at.gradient[free])
+            # without information a step has no size: none is longer than the parameter's own
+            longest = float(np.abs(move[: problem.shared]).max(initial=0.0))
+            move *= min(1.0, _LONGEST_STEP / max(longest, 1e-300))
+            there = np.clip(at.place + move, low, high)
+            known = problem.chi2(there, prior)
+            if known[0] < at.chi2:
+                break
+            damping *= _HARDER
+        else:
+            return Search(at, step)
+        damping = max(damping * _EASIER, 1e-7)
+        gained = at.chi2 - known[0]
+        at = problem.linear(there, prior, step_covariance(at, problem), known)
+        keep(at)
+        if gained < 0.02 * enough and step > 2:
+            return Search(at, step + 1)
+    return Search(at, most)
+
+
+def step_covariance(at: Linear, problem: Problem) -> np.ndarray:
+    """Return the covariance whose axes give the steps: wider where noise does not explain chi2."""
+    excess = max(1.0, at.chi2 / max(problem.rows - problem.dimension, 1))
+    return at.covariance * excess
+
+
+def weak_prior(problem: Problem, begin: np.ndarray) -> Prior:
+    """Return what was weighed, and weak knowledge of the rest, for early fits."""
+    known = problem.weighed()
+    centre, error = known.centre.copy(), known.error.copy()
+    for k, parameter in enumerate(problem.parameters):
+        if not math.isfinite(error[k]):
+            centre[k], error[k] = begin[k], _WEAK_LOG if parameter.is_log else _WEAK
+            if not parameter.paths:
+                error[k] = 10.0 if parameter.name.startswith("delay.") else 5.0
+    for number in range(len(problem.trials)):
+        own = problem.own(number)
+        for i, size in enumerate(_WEAK_START):
+            error[own.start + i] = size
+    return Prior(centre, error)
+
+
+def first_place(problem: Problem, begin: np.ndarray) -> np.ndarray:
+    """Return where a fit begins: parameters as given, each trial as its poses show it."""
+    place = np.zeros(problem.dimension)
+    place[: problem.shared] = begin
+    for number, trial in enumerate(problem.trials):
+        own = place[problem.own(number)]
+        if trial.is_release_fitted:
+            own[-1] = _release(trial) / OWN_SIZE[-1]
+        own[: len(OWN) - 1] = _start(trial, float(own[-1] * OWN_SIZE[-1]))
+    return place
+
+
+def _release(trial: Trial) -> float:
+    """Return when the chaser was let go, s after the release that is assumed.
+
+    It is the shift by which the simulated path meets the measured one best.
+    """
+    chaser = trial.channels[0]
+    end = min(trial.contact, trial.end) - 0.02
+    kept = chaser.t < end
+    if kept.sum() < 8:
+        return 0.0
+    t, heading = chaser.t[kept], trial.scene.initial.chaser.theta
+    along = chaser.values[kept, 0] * math.cos(heading) + chaser.values[kept, 1] * math.sin(heading)
+    grid = np.arange(0.0, max(float(t[-1]) + _RELEASE_RANGE, 0.1), 0.02)
+    bench = Bench(trial.scene)
+    try:
+        q = bench.advance(grid[grid <= trial.scene.run.t_end])["q"]
+    except SimulationError as error:
+        q = error.partial["q"]
+    path = q[:, 0] * math.cos(heading) + q[:, 1] * math.sin(heading)
+    latest = max(trial.contact, _RELEASE_RANGE) if math.isfinite(trial.contact) else _RELEASE_RANGE
+    shifts = np.arange(-_RELEASE_RANGE, latest, _RELEASE_STEP)
+    costs = []
+    for shift in shifts:
+        off = along - np.interp(t - shift, grid[: path.size], path)
+        # a path that hardly moves would fit anywhere: the start pose is that of the scene to 20 mm
+        offset = float(np.clip(off.mean(), -0.02, 0.02))
+        costs.append(float(((off - offset) ** 2).sum()))
+    return float(shifts[int(np.argmin(costs))])
+
+
+def _start(trial: Trial, release: float) -> np.ndarray:
+    """Return the start of a trial, (6,) in units of OWN_SIZE, by the samples before the release."""
+    initial = trial.scene.initial
+    shifts = []
+    for channel, pose in zip(trial.channels, (initial.chaser, initial.target), strict=False):
+        before = channel.values[channel.t < release]
+        if len(before) < 3:
+            return np.zeros(6)
+        shifts.append(np.median(before, axis=0) - [pose.x, pose.y, pose.theta])
+    (x, y, theta), (x_T, y_T, theta_T) = shifts
+    # the target relative to the chaser, in the chaser's own frame
+    c, s = math.cos(theta), math.sin(theta)
+    away = np.array([initial.target.x + x_T, initial.target.y + y_T])
+    away -= [initial.chaser.x + x, initial.chaser.y + y]
+    own = np.array([c * away[0] + s * away[1], c * away[1] - s * away[0]])
+    own -= [initial.target.x - initial.chaser.x, initial.target.y - initial.chaser.y]
+    return np.array([*own, theta_T - theta, x, y, theta]) / OWN_SIZE[:6]
+
+
+def grow(
+    problem: Problem,
+    begin: np.ndarray,
+    rng: np.random.Generator,
+    keep: Callable[[Problem, Linear], None] = lambda part, at: None,
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the place after fits over a growing horizon, and the last covariance.
+
+    Where the fit to a longer time does not explain what was added, the chatter has several minima
+    there: the search begins again from draws of the shorter fit, and then goes on in half the step.
+    ``keep`` is called with each state of the search.
+    """
+    prior = weak_prior(problem, begin)
+    stage = _Stage(first_place(problem, begin), None, 0.0, 0)
+    contacts = [trial.contact for trial in problem.trials]
+    if not any(map(math.isfinite, contacts)):
+        return stage.place, None
+    waiting, reached, spare = list(HORIZON), -math.inf, _MOST_HALVED
+    while waiting:
+        after = waiting[0]
+        ends = [contact + after for contact in contacts]
+        if not all(map(_is_enough, problem.trials, ends)):
+            del waiting[0]
+            continue
+        part = problem.until(ends)
+        ended = _stage_fit(part, stage, prior, spare, rng, keep)
+        if ended is None:
+            break
+        is_far = math.isfinite(reached) and after - reached > _FINEST and after > 0.0
+        if spare > 0 and is_far and not ended.explains_more_than(stage):
+            spare -= 1
+            waiting.insert(0, 0.5 * (after + reached))
+            continue
+        stage, reached = ended, after
+        del waiting[0]
+    return stage.place, stage.covariance
+
+
+@dataclass
+class _Stage:
+    """An early fit that has ended."""
+
+    place: np.ndarray
+    covariance: np.ndarray | None
+    chi2: float
+    rows: int
+
+    def explains_more_than(self, shorter: _Stage) -> bool:
+        """Return True if what was added to a shorter fit is explained by noise."""
+        added = self.rows - shorter.rows
+        if not shorter.rows or added <= 0:
+            return True
+        return self.chi2 - shorter.chi2 < _EXCESS * added + _EXCESS_NOISE * math.sqrt(2.0 * added)
+
+
+def _stage_fit(
+    part: Problem,
+    stage: _Stage,
+    prior: Prior,
+    spare: int,
+    rng: np.random.Generator,
+    keep: Callable[[Problem, Linear], None],
+) -> _Stage | None:
+    """Return a fit that begins where a shorter one ended; None if no trial works there."""
+    best: _Stage | None = None
+    starts = [stage.place]
+    if stage.covariance is not None and spare > 0:
+        values, vectors = np.linalg.eigh(stage.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        low, high = part.limits
+        starts += [
+            np.clip(stage.place + root @ rng.standard_normal(values.size), low, high)
+            for _ in range(_DRAWN)
+        ]
+    for place in starts:
+        search = descend(
+            part,
+            place,
+            prior,
+            stage.covariance,
+            enough=_ENOUGH_EARLY,
+            most=_STEPS_EARLY,
+            keep=partial(keep, part),
+        )
+        if search is None:
+            continue
+        at = search.linear
+        if best is None or at.chi2 < best.chi2:
+            best = _Stage(at.place, step_covariance(at, part), at.chi2, part.rows)
+        if best.explains_more_than(stage):
+            break
+    return best
+
+
+def _is_enough(trial: Trial, end: float) -> bool:
+    return sum(int((channel.t <= end).sum()) for channel in trial.channels) > 30
+
+
+def restart(
+    problem: Problem,
+    found: Search,
+    rng: np.random.Generator,
+    count: int = RESTARTS,
+    report: Callable[[str], None] = lambda stage: None,
+) -> Found:
+    """Search again from draws about the best place until none finds a better one."""
+    prior = problem.weighed()
+    best = found
+    ends: list[Search] = []
+    since_best, tried = 0, 0
+    while since_best < count and tried < (_MOST_RESTARTS if count else 0):
+        tried += 1
+        report(f"restart {tried}")
+        at = best.linear
+        covariance = step_covariance(at, problem)
+        values, vectors = np.linalg.eigh(covariance)
+        draw = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(values.size))
+        low, high = problem.limits
+        start = np.clip(at.place + _AWAY * draw, low, high)
+        again = descend(problem, start, prior, covariance)
+        if again is None:
+            continue
+        ends.append(again)
+        since_best += 1
+        if again.linear.chi2 < best.linear.chi2:
+            if again.linear.chi2 < best.linear.chi2 - _BETTER:
+                since_best = 0
+            best = again
+    ends = [found, *ends]
+    return Found(best, [_apart(best, end, problem.shared) for end in ends if end is not best])
+
+
+def _apart(best: Search, other: Search, shared: int) -> tuple[float, float]:
+    """Return by how much chi2 is higher, and how far off the shared parameters are."""
+    off = (other.linear.place - best.linear.place)[:shared]
+    information = inverse(best.linear.covariance[:shared, :shared])
+    return other.linear.chi2 - best.linear.chi2, math.sqrt(max(off @ information @ off, 0.0))
+
+
+def sigma_of(problem: Problem, at: Linear) -> list[dict[str, np.ndarray]]:
+    """Return the noise of each channel of each trial, from first differences of the residuals.
+
+    Third differences of what was measured read up to a tenth high where samples are not evenly
+    spaced, and hide that a fit is false.
+    """
+    found = []
+    for trial, one in zip(problem.trials, at.shown, strict=True):
+        begin, of_trial = 0, {}
+        for channel in trial.channels:
+            rows = one.residuals[begin : begin + channel.values.size]
+            begin += channel.values.size
+            steps = np.abs(np.diff(rows.reshape(channel.values.shape), axis=0))
+            if len(steps) < 8:
+                continue
+            limit = 8.0 * np.median(steps, axis=0) + 1e-9
+            mean = np.where(steps <= np.maximum(limit, 1e-9), steps, 0.0).sum(axis=0)
+            count = (steps <= np.maximum(limit, 1e-9)).sum(axis=0)
+            # the mean size of a difference of two values is 2 / sqrt(pi) standard deviations
+            sigma = channel.sigma * 0.5 * math.sqrt(math.pi) * mean / np.maximum(count, 1)
+            least = [part.noise for part in PARTS[channel.name]]
+            of_trial[channel.name] = np.maximum(sigma, least)
+        found.append(of_trial)
+    return found
+
+
+def renoised(problem: Problem, noises: Sequence[dict[str, np.ndarray]]) -> Problem:
+    """Return the problem with other noises of its trials."""
+    trials = [trial.with_noise(noise) for trial, noise in zip(problem.trials, noises, strict=True)]
+    return Problem(trials, problem.parameters, tick=problem._count)

@@ -1,0 +1,314 @@
+"""All trials of a bench together: residuals, their derivatives, and the information in them.
+
+The place of a search is one vector: the coordinates of the shared parameters, then the seven
+numbers of each trial.  Derivatives by shared parameters are central differences along the principal
+axes of their covariance, one standard error long.  Shorter steps take the roughness of the chatter
+for information: along the direction in which masses and stiffnesses grow together, errors come out
+at a tenth of the right ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from capture_sim.studies.calibration.parameters import Parameter
+from capture_sim.studies.calibration.trial import (
+    OWN,
+    OWN_SIZE,
+    RELATIVE,
+    Motion,
+    Trial,
+    View,
+    exact_columns,
+    residuals,
+    sensor_column,
+    simulate,
+    view,
+)
+
+#: Longest step of a difference, in coordinates; the first steps, before any covariance is known.
+_LONGEST, _FIRST = 0.03, 0.01
+#: Shortest step: round-off of the simulation.
+_SHORTEST = 1e-6
+#: The same of the relative start, in units of OWN_SIZE.
+_LONGEST_OWN, _FIRST_OWN, _SHORTEST_OWN = 0.3, 0.05, 1e-4
+#: Directions whose information is below this share of the largest are not determined.
+UNDETERMINED = 1e-10
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Independent knowledge of the place (d,): centres and standard errors; infinite without."""
+
+    centre: np.ndarray
+    error: np.ndarray
+
+    @property
+    def weight(self) -> np.ndarray:
+        """Inverse variances, (d,)."""
+        return np.asarray(1.0 / self.error**2)
+
+    def chi2(self, place: np.ndarray) -> float:
+        """Return the squared distance of a place in standard errors."""
+        return float(self.weight @ (place - self.centre) ** 2)
+
+
+@dataclass
+class Shown:
+    """One trial at a place: simulated, seen and compared."""
+
+    motion: Motion
+    view: View
+    residuals: np.ndarray  # (n,)
+
+
+@dataclass
+class Linear:
+    """The problem at a place, with derivatives."""
+
+    place: np.ndarray  # (d,)
+    chi2: float  # of the data and the prior
+    shown: list[Shown]
+    jacobians: list[np.ndarray]  # (n, k + 7) of each trial
+    hessian: np.ndarray  # (d, d), with the prior
+    gradient: np.ndarray  # (d,), half of that of chi2
+    free: np.ndarray  # (d,) bool: not known, nor held at an end of its range by the gradient
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance (d, d) of the place; without the directions that are not determined."""
+        return inverse(self.hessian)
+
+    @property
+    def decrease(self) -> float:
+        """Decrease of chi2 that a linear model predicts: the squared distance to its minimum."""
+        free = self.free
+        along = self.gradient[free]
+        return float(along @ inverse(self.hessian[np.ix_(free, free)]) @ along)
+
+
+def inverse(hessian: np.ndarray) -> np.ndarray:
+    """Return the inverse of an information matrix, without directions that are not determined."""
+    if not hessian.size:
+        return hessian.copy()
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
+    with np.errstate(divide="ignore"):
+        inverted = np.where(values > UNDETERMINED * values[-1], 1.0 / values, 0.0)
+    return np.asarray((vectors * inverted) @ vectors.T / np.outer(scale, scale))
+
+
+@dataclass
+class Problem:
+    """The joint fit of some trials."""
+
+    trials: Sequence[Trial]
+    parameters: Sequence[Parameter]
+    simulations: int = 0
+    #: Called after each simulation.
+    tick: Callable[[], None] = field(default=lambda: None)
+
+    @property
+    def shared(self) -> int:
+        """Number of shared parameters."""
+        return len(self.parameters)
+
+    @property
+    def dimension(self) -> int:
+        """Number of all parameters."""
+        return self.shared + len(OWN) * len(self.trials)
+
+    @property
+    def rows(self) -> int:
+        """Number of residuals of the data."""
+        return sum(trial.size for trial in self.trials)
+
+    def own(self, number: int) -> slice:
+        """Return where the numbers of a trial are in the place."""
+        begin = self.shared + len(OWN) * number
+        return slice(begin, begin + len(OWN))
+
+    @property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Range of the place."""
+        low, high = np.full(self.dimension, -math.inf), np.full(self.dimension, math.inf)
+        for k, parameter in enumerate(self.parameters):
+            low[k], high[k] = parameter.limits
+        return low, high
+
+    @property
+    def fixed(self) -> np.ndarray:
+        """Which numbers of the place are not fitted, (d,) bool: known releases."""
+        is_fixed = np.zeros(self.dimension, bool)
+        for number, trial in enumerate(self.trials):
+            is_fixed[self.own(number).stop - 1] = not trial.is_release_fitted
+        return is_fixed
+
+    def weighed(self) -> Prior:
+        """Return the prior of what was weighed."""
+        centre, error = np.zeros(self.dimension), np.full(self.dimension, math.inf)
+        for k, parameter in enumerate(self.parameters):
+            if parameter.prior is not None:
+                centre[k], error[k] = parameter.prior
+        return Prior(centre, error)
+
+    def until(self, times: Sequence[float]) -> Problem:
+        """Return the problem with each trial up to a time, s."""
+        cut = [trial.until(t) for trial, t in zip(self.trials, times, strict=True)]
+        return Problem(cut, self.parameters, tick=self._count)
+
+    def _count(self) -> None:
+        self.simulations += 1
+        self.tick()
+
+    # values
+
+    def values(self, place: np.ndarray) -> tuple[dict[str, float], dict[str, float]]:
+        """Return fields of the scene by path, and errors of sensors by name, SI."""
+        fields: dict[str, float] = {}
+        sensors: dict[str, float] = {}
+        for parameter, coordinate in zip(self.parameters, place[: self.shared], strict=True):
+            value = parameter.value(float(coordinate))
+            if not parameter.paths:
+                sensors[parameter.name] = value
+            for path in parameter.paths:
+                fields[path] = value
+        return fields, sensors
+
+    def show(
+        self, number: int, place: np.ndarray, more: Mapping[str, float] | None = None
+    ) -> Shown | None:
+        """Return a trial at a place, with further values of fields; None if it does not work."""
+        self._count()
+        trial, own = self.trials[number], place[self.own(number)]
+        fields, sensors = self.values(place)
+        motion = simulate(trial, {**fields, **(more or {})}, own, sensors)
+        if motion is None:
+            return None
+        seen = view(trial, motion, own, sensors)
+        return Shown(motion, seen, residuals(trial, motion, seen, float(own[-1] * OWN_SIZE[-1])))
+
+    def chi2(self, place: np.ndarray, prior: Prior) -> tuple[float, list[Shown]]:
+        """Return chi2 of data and prior, infinite if a trial does not work, and the trials."""
+        low, high = self.limits
+        if np.any(place < low) or np.any(place > high):
+            return math.inf, []
+        shown = []
+        for number in range(len(self.trials)):
+            one = self.show(number, place)
+            if one is None:
+                return math.inf, []
+            shown.append(one)
+        data = sum(float(one.residuals @ one.residuals) for one in shown)
+        return data + prior.chi2(place), shown
+
+    # derivatives
+
+    def linear(
+        self,
+        place: np.ndarray,
+        prior: Prior,
+        covariance: np.ndarray | None,
+        known: tuple[float, list[Shown]] | None = None,
+    ) -> Linear:
+        """Return the problem at a place with its derivatives.
+
+        ``covariance`` (d, d) gives directions and lengths of the differences; None before any is
+        known.  ``known`` is the result of :meth:`chi2` there.
+        """
+        chi2, shown = self.chi2(place, prior) if known is None else known
+        k = self.shared
+        hessian, gradient = np.diag(prior.weight), prior.weight * (place - prior.centre)
+        axes = self._axes(covariance)
+        jacobians = []
+        for number, one in enumerate(shown):
+            J = np.zeros((one.residuals.size, k + len(OWN)))
+            J[:, :k] = self._shared_columns(number, place, one, axes)
+            J[:, k:] = self._own_columns(number, place, one, covariance)
+            if not self.trials[number].is_release_fitted:
+                J[:, -1] = 0.0
+            jacobians.append(J)
+            where = np.r_[0:k, self.own(number)]
+            hessian[np.ix_(where, where)] += J.T @ J
+            gradient[where] += J.T @ one.residuals
+        low, high = self.limits
+        held = ((place <= low) & (gradient > 0.0)) | ((place >= high) & (gradient < 0.0))
+        free = ~(held | self.fixed)
+        return Linear(place, chi2, shown, jacobians, hessian, gradient, free)
+
+    def _bench_parameters(self) -> list[int]:
+        return [i for i, parameter in enumerate(self.parameters) if parameter.paths]
+
+    def _axes(self, covariance: np.ndarray | None) -> np.ndarray:
+        """Return the steps of the differences by parameters of the bench, columns of (m, m)."""
+        bench = self._bench_parameters()
+        if covariance is None or not bench:
+            return np.eye(len(bench)) * _FIRST
+        values, vectors = np.linalg.eigh(covariance[np.ix_(bench, bench)])
+        # a direction without information has no variance here: it gets the longest step
+        lengths = np.sqrt(np.maximum(values, 0.0))
+        lengths[lengths < _SHORTEST] = _LONGEST
+        longest = _LONGEST / np.abs(vectors).max(axis=0)
+        return np.asarray(vectors * np.clip(lengths, _SHORTEST, longest))
+
+    def _shared_columns(
+        self, number: int, place: np.ndarray, one: Shown, axes: np.ndarray
+    ) -> np.ndarray:
+        """Return the derivatives by the shared parameters, (n, k)."""
+        bench, k = self._bench_parameters(), self.shared
+        columns = np.zeros((one.residuals.size, k))
+        if bench:
+            along = []
+            for axis in axes.T:
+                step = np.zeros(place.size)
+                step[bench] = axis
+                along.append(self.difference(number, place, one, step))
+            columns[:, bench] = np.linalg.solve(axes.T, np.stack(along, axis=1).T).T
+        for i, parameter in enumerate(self.parameters):
+            if not parameter.paths:
+                column = sensor_column(self.trials[number], one.motion, one.view, parameter.name)
+                columns[:, i] = column * parameter.size
+        return columns
+
+    def _own_columns(
+        self, number: int, place: np.ndarray, one: Shown, covariance: np.ndarray | None
+    ) -> np.ndarray:
+        """Return the derivatives by the numbers of the trial, (n, 7)."""
+        begin = self.own(number).start
+        columns = np.zeros((one.residuals.size, len(OWN)))
+        for i in range(RELATIVE):
+            length = _FIRST_OWN
+            if covariance is not None and covariance[begin + i, begin + i] > 0.0:
+                spread = math.sqrt(covariance[begin + i, begin + i])
+                length = min(max(spread, _SHORTEST_OWN), _LONGEST_OWN)
+            step = np.zeros(place.size)
+            step[begin + i] = length
+            columns[:, i] = self.difference(number, place, one, step) / length
+        columns[:, RELATIVE:] = exact_columns(self.trials[number], one.view)
+        return columns
+
+    def difference(
+        self, number: int, place: np.ndarray, one: Shown, step: np.ndarray
+    ) -> np.ndarray:
+        """Return the change of a trial's residuals along a step, by a central difference.
+
+        Where a side is out of range or does not work, the other one counts alone.
+        """
+        low, high = self.limits
+        sides = []
+        for sign in (1.0, -1.0):
+            there = place + sign * step
+            inside = np.all(there >= low) and np.all(there <= high)
+            sides.append(self.show(number, there) if inside else None)
+        ahead, back = (None if side is None else side.residuals for side in sides)
+        if ahead is not None and back is not None:
+            return 0.5 * (ahead - back)
+        if ahead is not None:
+            return ahead - one.residuals
+        if back is not None:
+            return one.residuals - back
+        return np.zeros(one.residuals.size)

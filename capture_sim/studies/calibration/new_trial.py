@@ -1,0 +1,183 @@
+"""Does a new trial agree with a calibrated bench?  Its noise, parameters and placement, apart.
+
+The trial's own start and release are fitted with the calibrated values; then the linear model says
+how far the parameters would move, and what is left of the residuals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.dynamics.compilation import compile_kernels
+from capture_sim.errors import SceneError
+from capture_sim.run.run import Run, checked
+from capture_sim.scene.parts import Scene
+from capture_sim.scene.paths import get, with_values
+from capture_sim.studies.calibration.calibrate import STARTS, Start, fit_trials
+from capture_sim.studies.calibration.checks import block_means, chi2_tail, reduced
+from capture_sim.studies.calibration.files import Calibrated
+from capture_sim.studies.calibration.joint import Linear, Problem, inverse
+from capture_sim.studies.calibration.parameters import Parameter, begun_at, parameters_of
+from capture_sim.studies.calibration.prediction import Placement
+from capture_sim.studies.calibration.trial import trial_of
+
+#: A trial does not agree if a test gives less than this.
+LEAST_P = 1e-3
+
+
+class Comparison(NamedTuple):
+    """One comparison of a trial with a calibration."""
+
+    name: str
+    statistic: float  # chi2
+    freedom: int
+    p: float
+
+    @property
+    def agrees(self) -> bool:
+        """True unless chance alone hardly gives this."""
+        return self.p >= LEAST_P
+
+
+class TrialAgreement(NamedTuple):
+    """How a trial agrees with a calibration."""
+
+    noise: Comparison
+    parameters: Comparison
+    placement: Comparison
+    furthest: str  # parameter that moves by most of its standard errors
+    start: Start
+    simulations: int
+
+    @property
+    def agrees(self) -> bool:
+        """True if every test agrees."""
+        return self.noise.agrees and self.parameters.agrees and self.placement.agrees
+
+    @property
+    def sentence(self) -> str:
+        """The result in one sentence."""
+        if self.agrees:
+            return "the trial agrees with the calibration"
+        reasons = []
+        if not self.noise.agrees:
+            reasons.append("its residuals are not noise, whatever the parameters are")
+        if not self.parameters.agrees:
+            reasons.append(f"its parameters differ, {self.furthest} most")
+        if not self.placement.agrees:
+            reasons.append("its vehicles were not placed as the scene says")
+        return f"the trial does not agree with the calibration: {'; '.join(reasons)}"
+
+
+def agreement_of(run: Run, calibrated: Calibrated, placement: Placement) -> TrialAgreement:
+    """Return how a trial agrees with a calibration.
+
+    Parameters
+    ----------
+    run
+        The trial, with its scene.
+    calibrated
+        Values and covariance of the bench.
+    placement
+        Standard deviations of the start poses from those of the scene.
+
+    Raises
+    ------
+    SceneError
+        The calibration has a field that the trial's scene lacks.
+    RecordingError
+        The trial has no poses, or breaks a rule of plausibility.
+    """
+    compile_kernels()
+    scene = run.scene
+    for path in calibrated.fields:
+        if get(scene, path) is None:
+            raise SceneError(f"{calibrated.path}: {path}: the scene of the trial has no such value")
+    run = run.replaced(given_scene=with_values(scene, calibrated.fields))
+    run = run.replaced(series=checked(run).series)
+    trial = trial_of(run, is_release_fitted=scene.string is not None)
+    known = _parameters(run, calibrated)
+    found = fit_trials([trial], (), restarts=0, has_scores=False)
+    assert found.problem is not None
+    assert found.linear is not None
+    k = len(known)
+    problem = Problem(found.problem.trials, known, found.simulations)
+    place = np.concatenate([[p.coordinate(p.begin) for p in known], found.linear.place])
+    spread = np.zeros((problem.dimension, problem.dimension))
+    slopes = np.array([p.slope(p.coordinate(p.begin)) for p in known])
+    spread[:k, :k] = calibrated.covariance / np.outer(slopes, slopes)
+    spread[k:, k:] = found.linear.covariance
+    at = problem.linear(place, problem.weighed(), spread)
+    parameters, furthest = _parameter_test(at, spread[:k, :k], known)
+    return TrialAgreement(
+        _noise_test(at, problem),
+        parameters,
+        _placement_test(found.starts[0], trial.scene, placement),
+        furthest,
+        found.starts[0],
+        problem.simulations,
+    )
+
+
+def _parameters(run: Run, calibrated: Calibrated) -> list[Parameter]:
+    parameters = parameters_of(run.scene, calibrated.names)
+    return [
+        begun_at(parameter, float(value))
+        for parameter, value in zip(parameters, calibrated.values, strict=True)
+    ]
+
+
+def _parameter_test(
+    at: Linear, covariance: np.ndarray, known: Sequence[Parameter]
+) -> tuple[Comparison, str]:
+    """Return whether the trial's own parameters are the calibrated ones."""
+    k = len(known)
+    part = reduced(at, 0, k)
+    # the trial's own estimate less the calibrated one has the sum of both covariances, which is
+    # taken in the units of the calibration's errors
+    root = np.linalg.cholesky(
+        covariance + 1e-18 * np.eye(k) * max(float(np.trace(covariance)), 1.0)
+    )
+    information = root.T @ part.hessian @ root
+    slope = root.T @ part.gradient
+    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    kept = values > 1e-6 * max(float(values[-1]), 1e-300)
+    along = vectors.T @ slope
+    statistic = float((along[kept] ** 2 / (values[kept] * (1.0 + values[kept]))).sum())
+    # where the parameters move to if both count
+    moved = -root @ np.linalg.solve(information + np.eye(k), slope)
+    sizes = np.abs(moved) / np.sqrt(np.diag(covariance))
+    freedom = int(kept.sum())
+    test = Comparison("parameters", statistic, freedom, chi2_tail(statistic, freedom))
+    return test, known[int(np.argmax(sizes))].name
+
+
+def _noise_test(at: Linear, problem: Problem) -> Comparison:
+    """Return whether the residuals are noise once the parameters have moved."""
+    J, r = at.jacobians[0], at.shown[0].residuals
+    moved = r - J @ (inverse(J.T @ J) @ (J.T @ r))
+    left = at.shown[0]
+    shown = type(left)(left.motion, left.view, moved)
+    blocks = block_means(
+        Linear(at.place, at.chi2, [shown], at.jacobians, at.hessian, at.gradient, at.free), problem
+    )
+    if not blocks:
+        return Comparison("residuals", 0.0, 0, 1.0)
+    statistic = sum(block.statistic for block in blocks)
+    freedom = sum(block.means for block in blocks)
+    least = min(min(block.p for block in blocks) * len(blocks), 1.0)
+    return Comparison("residuals", statistic, freedom, min(chi2_tail(statistic, freedom), least))
+
+
+def _placement_test(start: Start, scene: Scene, placement: Placement) -> Comparison:
+    """Return whether the vehicles began where the scene has them."""
+    expected = np.array([float(get(scene, path)) for path in STARTS])
+    allowed = np.tile([placement.position, placement.position, placement.angle], 2)
+    off = start.values - expected
+    off[[2, 5]] = [math.remainder(angle, math.tau) for angle in off[[2, 5]]]
+    statistic = float((off**2 / (start.errors**2 + allowed**2)).sum())
+    return Comparison("placement", statistic, off.size, chi2_tail(statistic, off.size))

@@ -1,0 +1,231 @@
+"""What is fitted: numbers of the bench and errors of its sensors, each on a scale of its own.
+
+A search moves in coordinates, in which all parameters have about the same size: the logarithm of a
+number that must be positive, otherwise the number over its usual size.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from capture_sim.errors import SceneError
+from capture_sim.scene.parts import Scene
+from capture_sim.scene.paths import ALIASES, get, paths_of, range_of, usual_size
+from capture_sim.scene.quantities import Declared, declared
+from capture_sim.scene.units import in_si
+
+#: Parameters that are fitted where none are named, as far as the scene has them.
+DEFAULT = (
+    *("c_rr", "e", "mu", "c_A", "buffer.k_A", "buffer.k_T"),
+    *("chaser.mass", "target.mass", "chaser.inertia", "target.inertia"),
+)
+#: Start of the names of a trial's own start; they are always fitted.
+START = "initial."
+
+
+@dataclass(frozen=True)
+class SensorError:
+    """An error of a sensor that can be fitted as a parameter."""
+
+    channel: tuple[str, ...]  # quantities that have it
+    kind: str  # delay, scale or offset
+    value: float  # without an error
+    size: float  # usual size of an error, SI
+    unit: str
+    words: str
+
+
+#: Errors of sensors by their names as parameters.  Delays count from the chaser's poses.
+SENSOR_ERRORS: Mapping[str, SensorError] = {
+    "delay.target": SensorError(
+        ("target",), "delay", 0.0, 1e-3, "s", "the target's poses come later than the chaser's"
+    ),
+    "delay.buffer": SensorError(
+        ("stroke", "torsion"), "delay", 0.0, 1e-3, "s", "stroke and torsion come later than poses"
+    ),
+    "scale.stroke": SensorError(
+        ("stroke",), "scale", 1.0, 1e-2, "1", "the stroke's sensor reads by this factor"
+    ),
+    "scale.torsion": SensorError(
+        ("torsion",), "scale", 1.0, 1e-2, "1", "the torsion's sensor reads by this factor"
+    ),
+    "scale.chaser": SensorError(
+        ("chaser",), "scale", 1.0, 1e-2, "1", "the chaser's path is measured by this factor"
+    ),
+    "scale.target": SensorError(
+        ("target",), "scale", 1.0, 1e-2, "1", "the target's path is measured by this factor"
+    ),
+    "offset.stroke": SensorError(
+        ("stroke",), "offset", 0.0, 1e-4, "m", "the stroke's sensor reads this much at rest"
+    ),
+    "offset.torsion": SensorError(
+        ("torsion",), "offset", 0.0, 1e-3, "rad", "the torsion's sensor reads this much at rest"
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A value that is known from elsewhere, e.g. from scales."""
+
+    value: float  # SI
+    error: float  # standard error, SI
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that is fitted, of the bench or of a sensor."""
+
+    name: str
+    begin: float  # value where the search begins, SI
+    unit: str
+    low: float  # range of the value, SI
+    high: float
+    paths: tuple[str, ...] = ()  # in the scene; empty for a sensor's error
+    is_log: bool = False  # True if the coordinate is the logarithm
+    size: float = 1.0  # of a coordinate that is none, SI
+    weighed: Weighed | None = None
+
+    def coordinate(self, value: float) -> float:
+        """Return the coordinate of a value, SI."""
+        if self.is_log:
+            return math.log(value) if value > 0.0 else -math.inf
+        return value / self.size
+
+    def value(self, coordinate: float) -> float:
+        """Return the value at a coordinate, SI."""
+        return math.exp(min(coordinate, 300.0)) if self.is_log else coordinate * self.size
+
+    def slope(self, coordinate: float) -> float:
+        """Return the change of the value, SI, by that of the coordinate."""
+        return self.value(coordinate) if self.is_log else self.size
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Range of the coordinate."""
+        return self.coordinate(self.low), self.coordinate(self.high)
+
+    @property
+    def prior(self) -> tuple[float, float] | None:
+        """Coordinate that was weighed, and its standard error; None if none was."""
+        if self.weighed is None:
+            return None
+        centre = self.coordinate(self.weighed.value)
+        return centre, self.weighed.error / self.slope(centre)
+
+
+def parameters_of(
+    scene: Scene,
+    names: Sequence[str] | None,
+    weighed: Mapping[str, Weighed] | None = None,
+) -> tuple[Parameter, ...]:
+    """Return the parameters of some names, None for the default ones, and all that were weighed.
+
+    SceneError if a name is unknown or given twice, or if a weighed value is out of its range.
+    """
+    weighed = weighed or {}
+    given = list(default_names(scene) if names is None else names)
+    for name in given:
+        if given.count(name) > 1:
+            raise SceneError(f"parameter {name}: given twice: must be given once")
+    given += [name for name in weighed if name not in given]
+    if not given:
+        raise SceneError("parameters: must be one name or more")
+    found = [_parameter(scene, name, weighed.get(name)) for name in given]
+    taken: dict[str, str] = {}
+    for parameter in found:
+        for path in parameter.paths:
+            if path in taken:
+                raise SceneError(
+                    f"parameter {parameter.name}: is also fitted as {taken[path]}: must be named "
+                    "once"
+                )
+            taken[path] = parameter.name
+    return tuple(found)
+
+
+def default_names(scene: Scene) -> tuple[str, ...]:
+    """Return the default names that are positive numbers of a scene."""
+
+    def has(name: str) -> bool:
+        value = get(scene, (ALIASES.get(name) or (name,))[0])
+        return isinstance(value, (int, float)) and value > 0.0
+
+    return tuple(filter(has, DEFAULT))
+
+
+def _parameter(scene: Scene, name: str, weighed: Weighed | None) -> Parameter:
+    if name in SENSOR_ERRORS:
+        error = SENSOR_ERRORS[name]
+        low, high = (0.5, 2.0) if error.kind == "scale" else (-math.inf, math.inf)
+        begin = error.value if weighed is None else weighed.value
+        return Parameter(name, begin, error.unit, low, high, (), size=error.size, weighed=weighed)
+    if name.startswith(START):
+        raise SceneError(f"parameter {name}: is of one trial, and always fitted: must not be named")
+    paths = paths_of(scene, name)
+    value = float(get(scene, paths[0]))
+    low, high = range_of(scene, paths[0])
+    if weighed is not None:
+        if not (low <= weighed.value <= high) or not weighed.error > 0.0:
+            raise SceneError(
+                f"weighed {name} = {weighed.value:g} +- {weighed.error:g}: must be {low:g} to "
+                f"{high:g}, with an error > 0"
+            )
+        value = weighed.value
+    is_log = value > 0.0 and low >= 0.0 and paths[0] != "contact.restitution"
+    size = abs(value) if value and paths[0] != "contact.restitution" else usual_size(name)
+    size = 1.0 if paths[0] == "contact.restitution" else size
+    return Parameter(
+        name, value, declaration(scene, paths[0]).unit, low, high, paths, is_log, size, weighed
+    )
+
+
+def declaration(scene: Scene, path: str) -> Declared:
+    """Return the declaration of the field at a path."""
+    owner, _, name = path.rpartition(".")
+    return declared(type(get(scene, owner) if owner else scene))[name]
+
+
+def begun_at(parameter: Parameter, value: float) -> Parameter:
+    """Return a parameter whose search begins at another value."""
+    return replace(parameter, begin=value)
+
+
+_PLUS_MINUS = re.compile(r"\+-|\+/-|±")
+
+
+def read_weighed(scene: Scene, text: str) -> tuple[str, Weighed]:
+    """Return name and value of ``NAME=VALUE +- ERROR [UNIT]``; SceneError if it is no such text."""
+    name, sign, given = (part.strip() for part in text.partition("="))
+    parts = [part.strip() for part in _PLUS_MINUS.split(given)]
+    if not sign or len(parts) != 2:
+        raise SceneError(
+            f"weighed {text}: must be NAME='VALUE +- ERROR UNIT', e.g. "
+            "chaser.mass='22.6 +- 0.02 kg'"
+        )
+    paths = paths_of(scene, name)
+    unit = declaration(scene, paths[0]).unit
+    value, error = parts
+    _, _, own_unit = error.partition(" ")
+    try:
+        if error.endswith("%"):
+            central = in_si(value, unit)
+            spread = abs(central) * float(error[:-1]) / 100.0
+        else:
+            has_unit = bool(re.search(r"[A-Za-z]", re.sub(r"[eE][-+]?\d+", "", value)))
+            central = in_si(value if has_unit else f"{value} {own_unit}".strip(), unit)
+            spread = in_si(error, unit)
+    except ValueError:
+        in_unit = f" in {unit}" if unit not in ("", "1") else ""
+        raise SceneError(f"weighed {text}: must be two numbers{in_unit}") from None
+    return name, Weighed(central, spread)
+
+
+def begins(parameters: Sequence[Parameter]) -> np.ndarray:
+    """Return the coordinates (k,) where the search begins."""
+    return np.array([p.coordinate(p.begin) for p in parameters])

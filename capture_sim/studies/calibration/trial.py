@@ -1,0 +1,446 @@
+"""A trial: what was measured of it up to the first hold, and what the bench would have shown.
+
+A bench has no place on the floor: a common translation and rotation of both vehicles moves all
+poses exactly, and the release and the delays of sensors shift times, whose effect the rates give.
+So of the seven numbers that each trial has of its own, three need simulations: the place of the
+target relative to the chaser.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.memory import Memory
+from capture_sim.errors import RecordingError, SceneError, SimulationError
+from capture_sim.run.run import Run
+from capture_sim.run.series import PARTS, Series
+from capture_sim.run.touches import Touches
+from capture_sim.scene.parts import Scene
+from capture_sim.scene.paths import with_values
+from capture_sim.studies.calibration.parameters import SENSOR_ERRORS
+
+#: Numbers of a trial: place of the target relative to the chaser, common place, release.
+OWN = ("along", "across", "turned", "x", "y", "theta", "release")
+#: Units of their coordinates: m, m, rad, m, m, rad, s.
+OWN_SIZE = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3])
+#: Those that need simulations.
+RELATIVE = 3
+POSES = ("chaser", "target")
+#: Topic whose first message after the release that holds the chaser ends the trial.
+HOLD = "/launcher/hold"
+#: The driver may act on a message before the recorder has written it, s.
+_HOLD_MARGIN = 0.01
+#: Poses whose arrivals map a log time to stamps.
+_NEAR = 15
+#: A sensor of the buffer shows the contact at this share of its largest value, and at this many
+#: standard deviations.
+_SHOWS, _SHOWS_NOISE = 0.03, 8.0
+#: Residual, in units of noise, of a touch that the simulation has not.
+MISSING = 1e3
+
+
+class Channel(NamedTuple):
+    """Measured values of one quantity."""
+
+    name: str
+    t: np.ndarray  # (n,), s, ascending; since the release that is assumed
+    values: np.ndarray  # (n, m), SI
+    sigma: np.ndarray  # (m,), standard deviations
+
+
+class Motion(NamedTuple):
+    """What the sensors would show of a simulated trial, in the scene's own place."""
+
+    values: tuple[np.ndarray, ...]  # (n, m) of each channel
+    rates: tuple[np.ndarray, ...]  # (n, m) of each; zero before the release
+    touches: np.ndarray  # (k,) of dtype TOUCH, by start
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A trial as it is fitted."""
+
+    name: str
+    scene: Scene  # with the launch as commanded
+    channels: tuple[Channel, ...]
+    contact: float  # first contact as measured, s; infinite without one
+    end: float  # s, of what is used
+    cut: float  # s, of the first hold after the release; infinite without one
+    is_release_fitted: bool
+    touches: Touches | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of measured values."""
+        return sum(channel.values.size for channel in self.channels) + self.touch_rows
+
+    @property
+    def touch_rows(self) -> int:
+        """Number of residuals of touches."""
+        return 0 if self.touches is None else 2 * self.touches.start.size
+
+    def until(self, t: float) -> Trial:
+        """Return the trial up to a time, s; touches count only if all of it is used."""
+        if t >= self.end:
+            return self
+        kept = tuple(
+            channel._replace(t=channel.t[channel.t <= t], values=channel.values[channel.t <= t])
+            for channel in self.channels
+        )
+        return dataclasses.replace(self, channels=kept, touches=None)
+
+    def with_noise(self, sigma: Mapping[str, np.ndarray]) -> Trial:
+        """Return the trial with other standard deviations by channel."""
+        channels = tuple(c._replace(sigma=sigma.get(c.name, c.sigma)) for c in self.channels)
+        return dataclasses.replace(self, channels=channels)
+
+
+def trial_of(
+    run: Run,
+    *,
+    touches: Touches | None = None,
+    noise: Mapping[str, np.ndarray] | None = None,
+    until: float = math.inf,
+    is_release_fitted: bool = True,
+) -> Trial:
+    """Return a run as a trial that can be fitted.
+
+    Parameters
+    ----------
+    run
+        The measured run.
+    touches
+        Its first touches; None to fit without them.
+    noise
+        Standard deviations by series, one for each of its parts; missing ones are estimated.
+    until
+        End of what is used, s; the first hold after the release and the end of the scene's run end
+        it earlier.
+    is_release_fitted
+        False if the release is known exactly.
+
+    Raises
+    ------
+    RecordingError
+        The run has no poses of a vehicle.
+    SceneError
+        All measurements are of one instant.
+    """
+    name = run.origin.path or run.name
+    scene = launched(run)
+    cut = hold_after_release(run)
+    end = min(until, cut, scene.run.t_end)
+    channels = []
+    for quantity, parts in PARTS.items():
+        series = run.measured(quantity)
+        kept = series.t <= end
+        if kept.any():
+            values = series.values[kept].reshape(int(kept.sum()), -1)
+            series = Series(series.t[kept], values)
+            given = (noise or {}).get(quantity)
+            sigma = np.asarray(scatter(series) if given is None else given, dtype=float)
+            sigma = np.maximum(sigma, [part.noise for part in parts])
+            channels.append(Channel(quantity, series.t, values, sigma))
+    for vehicle in POSES:
+        if vehicle not in [channel.name for channel in channels]:
+            raise RecordingError(
+                f"{name}: contains no pose of the {vehicle} of the time asked for "
+                f"(/motion_capture/{vehicle} or /{vehicle}/odom)"
+            )
+    if len({float(t) for channel in channels for t in (channel.t[0], channel.t[-1])}) < 2:
+        raise SceneError(f"{name}: measurements of one instant: must be of two or more")
+    if touches is not None:
+        touches = touches.of(touches.start <= end)
+        touches = touches if touches.start.size else None
+    last = max(float(channel.t[-1]) for channel in channels)
+    return Trial(
+        name=name,
+        scene=scene,
+        channels=tuple(channels),
+        contact=_contact(channels),
+        end=min(end, last),
+        cut=cut,
+        is_release_fitted=is_release_fitted,
+        touches=touches,
+    )
+
+
+def resolved(touches: Touches, scene: Scene) -> Touches | None:
+    """Return the touches; None if those of the scene are too short for the force they are from."""
+    bench = Bench(scene)
+    bench.advance(np.zeros(0))
+    met = bench.touches[np.argsort(bench.touches["start"], kind="stable")][: touches.start.size]
+    return None if touches.may_miss(met["end"] - met["start"]) else touches
+
+
+def launched(run: Run) -> Scene:
+    """Return the scene of a run with the launch as it was commanded.
+
+    What hangs on the string does not follow the parameters.
+    """
+    scene = run.scene
+    if scene.string is None:
+        return scene
+    plan = run.plan or Bench(scene).plan
+    string = dataclasses.replace(
+        scene.string,
+        impact_speed=None,
+        hanging_mass=plan.hanging_mass,
+        drop_height=plan.drop_height,
+    )
+    return dataclasses.replace(scene, string=string)
+
+
+def hold_after_release(run: Run) -> float:
+    """Return when the launcher holds the chaser again, s since the release; infinite if never.
+
+    The message has no stamp: its log time is mapped to stamps by the poses that were logged near
+    it, as the offset changes by 0.1 s while the nodes start.
+    """
+    if run.is_exact or HOLD not in run.tables:
+        return math.inf
+    fields = run.tables[HOLD].fields
+    if "data" not in fields:
+        return math.inf
+    t, holds = np.asarray(fields["t"], dtype=float), np.asarray(fields["data"], dtype=bool)
+    released = np.flatnonzero(~holds)
+    if not released.size:
+        return math.inf
+    again = np.flatnonzero(holds[released[0] :])
+    if not again.size:
+        return math.inf
+    logged = float(t[released[0] + again[0]])
+    poses = run.measured("chaser")
+    if poses.arrival.size:
+        near = np.argsort(np.abs(poses.arrival - logged), kind="stable")[:_NEAR]
+        logged += float(np.median((poses.t - poses.arrival)[near]))
+    return logged - _HOLD_MARGIN
+
+
+def scatter(series: Series) -> np.ndarray:
+    """Return the noise of each part of a smooth, evenly spaced series: standard deviations (m,).
+
+    The third difference of white noise has 20 times its variance, that of a smooth motion
+    is small; the median keeps bends at touches from counting.
+    """
+    values = series.values.reshape(len(series.t), -1)
+    if len(values) < 5:
+        return np.zeros(values.shape[1])
+    rough = np.abs(np.diff(values, n=3, axis=0))
+    return np.asarray(np.median(rough, axis=0) / 0.6745 / math.sqrt(20.0))
+
+
+def _contact(channels: list[Channel]) -> float:
+    """Return when stroke or torsion first show a contact, s; infinite if they never do."""
+    first = math.inf
+    for channel in channels:
+        if channel.name in POSES or channel.t.size < 8:
+            continue
+        values = channel.values[:, 0]
+        away = np.abs(values - np.median(values[: max(4, values.size // 20)]))
+        shown = away > max(_SHOWS_NOISE * channel.sigma[0], _SHOWS * float(away.max()))
+        lasting = shown[:-2] & shown[1:-1] & shown[2:]
+        if lasting.any():
+            first = min(first, float(channel.t[int(np.argmax(lasting))]))
+    return first
+
+
+_memory = Memory()
+
+
+def simulate(
+    trial: Trial,
+    values: Mapping[str, float],
+    own: np.ndarray,
+    sensors: Mapping[str, float],
+) -> Motion | None:
+    """Return the simulated trial; None if the bench does not work there.
+
+    Parameters
+    ----------
+    trial
+        The trial.
+    values
+        Fields of the scene by path, SI.
+    own
+        (7,) numbers of the trial, in units of :data:`OWN_SIZE`.
+    sensors
+        Errors of sensors by name, SI.
+    """
+    along, across, turned, *_, release = (own * OWN_SIZE).tolist()
+    scene = trial.scene
+    target = scene.initial.target
+    place = {
+        "initial.target.x": target.x + along,
+        "initial.target.y": target.y + across,
+        "initial.target.theta": math.remainder(target.theta + turned, math.tau),
+    }
+    times = [
+        np.maximum(channel.t - release - delay_of(channel.name, sensors), 0.0)
+        for channel in trial.channels
+    ]
+    grid = np.unique(np.concatenate(times))
+    try:
+        scene = with_values(scene, {**values, **place})
+        if grid[-1] > scene.run.t_end:
+            scene = with_values(scene, {"run.t_end": float(grid[-1])})
+        bench = Bench(scene, memory=_memory)
+        samples = bench.advance(grid)
+    except (SimulationError, SceneError):
+        return None
+    if not samples.size:
+        return None
+    q, v = samples["q"], samples["v"]
+    last = len(samples) - 1  # a run that ended earlier stays where it is
+    of_channels = []
+    rates_of_channels = []
+    for channel, t in zip(trial.channels, times, strict=True):
+        index = np.minimum(np.searchsorted(grid, t), last)
+        moving = (t > 0.0)[:, None]
+        at, rate = _seen(channel.name, q[index], v[index])
+        if channel.name == "stroke":
+            at = at - scene.rest_length
+        of_channels.append(at)
+        rates_of_channels.append(rate * moving)
+    touches = bench.touches
+    touches = touches[np.argsort(touches["start"], kind="stable")]
+    return Motion(tuple(of_channels), tuple(rates_of_channels), touches)
+
+
+def _seen(name: str, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return coordinates (n, m) of a quantity, and their rates."""
+    if name == "chaser":
+        return q[:, 0:3], v[:, 0:3]
+    if name == "target":
+        return q[:, 5:8], v[:, 5:8]
+    if name == "stroke":
+        return q[:, 4:5], v[:, 4:5]
+    return (q[:, 3] - q[:, 2])[:, None], (v[:, 3] - v[:, 2])[:, None]
+
+
+def delay_of(name: str, sensors: Mapping[str, float]) -> float:
+    """Return the delay of a channel, s."""
+    return sum(
+        value
+        for error, value in sensors.items()
+        if SENSOR_ERRORS[error].kind == "delay" and name in SENSOR_ERRORS[error].channel
+    )
+
+
+class View(NamedTuple):
+    """A simulated trial as its sensors show it, with the derivatives that need no simulation."""
+
+    values: tuple[np.ndarray, ...]  # (n, m) of each channel
+    rates: tuple[np.ndarray, ...]  # (n, m)
+    turning: tuple[np.ndarray, ...]  # (n, m), derivative by a common rotation
+
+
+def view(trial: Trial, motion: Motion, own: np.ndarray, sensors: Mapping[str, float]) -> View:
+    """Return what the sensors show, with the common place of the trial and errors of sensors."""
+    *_, x, y, theta, _ = (own * OWN_SIZE).tolist()
+    chaser = trial.scene.initial.chaser
+    c, s = math.cos(theta), math.sin(theta)
+    R = np.array([[c, -s], [s, c]])
+    R_turned = np.array([[-s, -c], [c, -s]])
+    pivot = np.array([chaser.x, chaser.y])
+    moved, rates, turning = [], [], []
+    for channel, at, rate in zip(trial.channels, motion.values, motion.rates, strict=True):
+        if channel.name not in POSES:
+            scale = sensors.get(f"scale.{channel.name}", 1.0)
+            moved.append(scale * at + sensors.get(f"offset.{channel.name}", 0.0))
+            rates.append(scale * rate)
+            turning.append(np.zeros_like(at))
+            continue
+        placed, turned, speed = at.copy(), np.ones_like(at), rate.copy()
+        away = at[:, :2] - pivot
+        placed[:, :2] = pivot + [x, y] + away @ R.T
+        placed[:, 2] += theta
+        turned[:, :2] = away @ R_turned.T
+        speed[:, :2] = rate[:, :2] @ R.T
+        scale = sensors.get(f"scale.{channel.name}", 1.0)
+        if scale != 1.0:
+            placed[:, :2] = placed[:1, :2] + scale * (placed[:, :2] - placed[:1, :2])
+            speed[:, :2] *= scale
+        moved.append(placed)
+        rates.append(speed)
+        turning.append(turned)
+    return View(tuple(moved), tuple(rates), tuple(turning))
+
+
+def residuals(trial: Trial, motion: Motion, seen: View, release: float) -> np.ndarray:
+    """Return measured less simulated, (n,), in units of noise; ``release`` in s."""
+    parts = [
+        ((channel.values - values) / channel.sigma).ravel()
+        for channel, values in zip(trial.channels, seen.values, strict=True)
+    ]
+    return np.concatenate([*parts, _touch_residuals(trial, motion, release)])
+
+
+def _touch_residuals(trial: Trial, motion: Motion, release: float) -> np.ndarray:
+    touches = trial.touches
+    if touches is None:
+        return np.zeros(0)
+    met = motion.touches[motion.touches["peak_force"] >= touches.threshold]
+    n, count = min(touches.start.size, met.size), touches.start.size
+    late, strength = np.full(count, MISSING), np.full(count, MISSING)
+    off = touches.start[:n] - release - met["start"][:n]
+    if n and not touches.is_delay_known:
+        off = off - off.mean()  # the delay that fits best
+    late[:n] = off / touches.start_noise
+    expected = met["impulse" if touches.strength == "impulse" else "peak_force"][:n]
+    measured = getattr(touches, touches.strength)[:n]
+    strength[:n] = (measured - expected) / touches.strength_noise[:n]
+    return np.concatenate([late, strength])
+
+
+def exact_columns(trial: Trial, seen: View) -> np.ndarray:
+    """Return the derivatives of the residuals by x, y, theta and release, (n, 4).
+
+    They need no simulation.
+    """
+    columns = []
+    for k in range(4):
+        parts = []
+        for channel, rate, turned in zip(trial.channels, seen.rates, seen.turning, strict=True):
+            change = np.zeros_like(rate)
+            if k == 3:
+                change = -rate
+            elif channel.name in POSES:
+                if k == 2:
+                    change = turned
+                else:
+                    change[:, k] = 1.0
+            parts.append((-change * OWN_SIZE[RELATIVE + k] / channel.sigma).ravel())
+        touch = np.zeros(trial.touch_rows)
+        if k == 3 and trial.touches is not None and trial.touches.is_delay_known:
+            touch[: touch.size // 2] = -OWN_SIZE[-1] / trial.touches.start_noise
+        columns.append(np.concatenate([*parts, touch]))
+    return np.stack(columns, axis=1)
+
+
+def sensor_column(trial: Trial, motion: Motion, seen: View, name: str) -> np.ndarray:
+    """Return the derivative of the residuals by an error of a sensor, SI, (n,)."""
+    error = SENSOR_ERRORS[name]
+    parts = []
+    for channel, at, values, rate in zip(
+        trial.channels, motion.values, seen.values, seen.rates, strict=True
+    ):
+        change = np.zeros_like(values)
+        if channel.name in error.channel:
+            if error.kind == "delay":
+                change = -rate
+            elif error.kind == "offset":
+                change += 1.0
+            elif channel.name in POSES:
+                change[:, :2] = values[:, :2] - values[:1, :2]
+            else:
+                change = at
+        parts.append((-change / channel.sigma).ravel())
+    return np.concatenate([*parts, np.zeros(trial.touch_rows)])

@@ -1,0 +1,109 @@
+"""Plots of a calibration: each trial measured and simulated, correlations, and the prediction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from capture_sim.run.series import PARTS
+from capture_sim.viewing import style
+from capture_sim.viewing.canvas import dress, new_figure, subplots
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from capture_sim.studies.calibration.calibrate import Calibration
+    from capture_sim.studies.calibration.prediction import Prediction
+
+#: Residuals are drawn up to so many standard deviations.
+_SHOWN = 6.0
+#: Points that are drawn of a series.
+_MOST_POINTS = 3000
+
+
+def draw_calibration(found: Calibration) -> dict[str, Figure]:
+    """Return the plots of a calibration by name: a trial each, correlation, prediction."""
+    assert found.problem is not None
+    figures: dict[str, Figure] = {}
+    for number, trial in enumerate(found.problem.trials):
+        stem = Path(trial.name).stem or f"{number}"
+        name = stem if stem not in (*figures, "correlation", "prediction") else f"{stem}_{number}"
+        figures[name] = _draw_trial(found, number)
+    if len(found.names) > 1:
+        figures["correlation"] = _draw_correlation(found)
+    if found.prediction is not None:
+        figures["prediction"] = _draw_prediction(found.prediction)
+    return figures
+
+
+def _draw_trial(found: Calibration, number: int) -> Figure:
+    """Draw what was measured and simulated of a trial, and the residuals in units of noise."""
+    assert found.problem is not None
+    assert found.linear is not None
+    trial = found.problem.trials[number]
+    seen = found.linear.shown[number].view.values
+    count = sum(len(PARTS[channel.name]) for channel in trial.channels)
+    figure, axes = subplots(12.0, 1.7 * count + 0.6, count, 2, font=11.0, sharex=True)
+    row = 0
+    for channel, simulated in zip(trial.channels, seen, strict=True):
+        step = max(1, channel.t.size // _MOST_POINTS)
+        for k, part in enumerate(PARTS[channel.name]):
+            values, residuals = axes[row]
+            measured = channel.values[:, k]
+            values.plot(
+                channel.t[::step], measured[::step] * part.factor, ".", color=style.GREY, ms=2.5
+            )
+            values.plot(channel.t, simulated[:, k] * part.factor, "-", color=style.BLUE, lw=1.2)
+            off = (measured - simulated[:, k]) / channel.sigma[k]
+            residuals.plot(channel.t, np.clip(off, -_SHOWN, _SHOWN), ".", color=style.BLUE, ms=2.0)
+            residuals.set_ylim(-_SHOWN, _SHOWN)
+            values.set_ylabel(f"{channel.name} {part.label}\n[{part.unit}]".strip())
+            row += 1
+    axes[0, 0].set_title(f"{Path(trial.name).name}: measured (grey), simulated (blue)", fontsize=12)
+    axes[0, 1].set_title("residuals, standard deviations", fontsize=12)
+    for each in axes[-1]:
+        each.set_xlabel("time since the release that was assumed  [s]")
+    return figure
+
+
+def _draw_correlation(found: Calibration) -> Figure:
+    """Draw the correlations of the errors."""
+    count = len(found.names)
+    figure = new_figure(0.62 * count + 3.2, 0.55 * count + 2.2)
+    axes = figure.add_subplot()
+    dress(axes, None, 11.0)
+    drawn = axes.imshow(found.correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    for i in range(count):
+        for j in range(count):
+            value = found.correlation[i, j]
+            colour = "white" if abs(value) > 0.6 else style.BLACK
+            axes.text(j, i, f"{value:.2f}", ha="center", va="center", color=colour, fontsize=8.5)
+    axes.set_xticks(range(count), found.names, rotation=45, ha="right")
+    axes.set_yticks(range(count), found.names)
+    axes.set_title("Correlation of the errors", fontsize=13)
+    figure.colorbar(drawn, ax=axes, shrink=0.8)
+    return figure
+
+
+def _draw_prediction(prediction: Prediction) -> Figure:
+    """Draw stroke and torsion of the trial to come with their bands."""
+    names = list(prediction.series)
+    figure, axes = subplots(10.0, 3.0 * len(names), len(names), 1, font=12.0, sharex=True)
+    for each, name in zip(axes.flat, names, strict=True):
+        part = PARTS[name][0]
+        low, middle, high = prediction.series[name] * part.factor
+        each.fill_between(prediction.t, low, high, color=style.SKY, alpha=0.5, lw=0, label="95 %")
+        each.plot(prediction.t, middle, "-", color=style.BLUE, lw=1.3, label="calibrated values")
+        each.set_ylabel(f"{name}  [{part.unit}]")
+    placement = prediction.placement
+    how = (
+        "placed exactly"
+        if placement is None
+        else (f"placement {placement.position * 1e3:.3g} mm, {placement.angle * 1e3:.3g} mrad")
+    )
+    axes[0, 0].set_title(f"{prediction.scene.name}, predicted: {how}", fontsize=13)
+    axes[0, 0].legend(fontsize=11)
+    axes[-1, 0].set_xlabel("time since the release  [s]")
+    return figure

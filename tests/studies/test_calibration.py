@@ -1,0 +1,247 @@
+"""Several trials of a bench with known parameters give them back, and a wrong fit is refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from measured_trials import measured_trial, short_scene
+
+from capture_sim.errors import RecordingError, SceneError
+from capture_sim.run.frames import Table
+from capture_sim.run.series import Series
+from capture_sim.scene.loading import load_scene, load_scene_text
+from capture_sim.scene.paths import changed, get
+from capture_sim.studies.calibration.calibrate import calibrate
+from capture_sim.studies.calibration.checks import direction_words
+from capture_sim.studies.calibration.files import as_data
+from capture_sim.studies.calibration.parameters import Weighed, parameters_of, read_weighed
+from capture_sim.studies.calibration.prediction import read_placement
+from capture_sim.studies.calibration.trial import hold_after_release
+
+TRUE = {"contact.restitution": 0.6, "friction.mu": 0.27, "buffer.k_A": 560.0}
+NAMES = ("e", "mu", "buffer.k_A")
+VALUES = (0.6, 0.27, 560.0)
+
+
+def two_trials(first=0, true=TRUE, **more):
+    scenes = short_scene(0.0), short_scene(0.15)
+    return [
+        measured_trial(scene, true, first + k, name=f"trial {k}", **more)
+        for k, scene in enumerate(scenes)
+    ]
+
+
+def test_two_trials_give_their_parameters_back():
+    found = calibrate(two_trials(shift=(1e-3, 8e-4, 4e-3)), NAMES)
+    assert found.is_found, found.findings
+    assert np.abs((found.values - VALUES) / found.errors).max() < 4.0
+    assert (found.errors / VALUES < (0.03, 0.03, 0.003)).all()
+    for start in found.starts:  # the starts that no scene has
+        off = np.array([1e-3, 8e-4, 4e-3])
+        assert np.abs((start.values[3:] - start.values[:3]).size) == 3
+        target = found.problem.trials[0].scene.initial.target
+        assert abs(start.values[4] - target.y - off[1]) < 4.0 * start.errors[4]
+    assert found.scene.buffer.k_A == pytest.approx(found.values[2])
+
+
+@pytest.mark.long
+def test_errors_are_the_spread_of_many_noises():
+    off = []
+    for seed in range(12):
+        found = calibrate(two_trials(10 * seed), NAMES, restarts=1)
+        off.append((found.values - VALUES) / found.errors)
+    # chi-square of 12 x 3 freedoms: 0.1 % quantiles at 0.43 and 1.89
+    assert 0.43 < float(np.mean(np.square(off))) < 1.89
+
+
+def test_a_trial_of_a_changed_bench_is_named():
+    trials = two_trials()
+    other = {**TRUE, "buffer.k_A": 561.5}
+    trials.append(measured_trial(short_scene(-0.1), other, 7, name="the third"))
+    found = calibrate(trials, NAMES, restarts=0)
+    kinds = {finding.kind: finding.text for finding in found.findings}
+    assert "the third is furthest" in kinds["trials"]
+
+
+@pytest.mark.parametrize(
+    "name, more, true",
+    [
+        ("delay.buffer", {"delays": {"stroke": 3e-3, "torsion": 3e-3}}, 3e-3),
+        pytest.param("scale.torsion", {"scales": {"torsion": 1.02}}, 1.02, marks=pytest.mark.long),
+        ("buffer.friction", {"true": {**TRUE, "buffer.friction": 0.02}}, 0.02),
+        pytest.param(
+            "buffer.c_A_rebound",
+            {"true": {**TRUE, "buffer.c_A_rebound": 13.5}},
+            18.0,
+            marks=pytest.mark.long,
+        ),
+    ],
+)
+def test_what_the_model_lacks_is_named_with_its_size(name, more, true):
+    found = calibrate(two_trials(**more), NAMES, restarts=0)
+    named = {one.score.name: one for one in found.lacking}
+    assert not found.is_found
+    assert name in named
+    assert abs(named[name].estimate - true) < max(5.0 * named[name].error, 0.02 * true)
+
+
+def test_what_was_weighed_enters_values_and_errors():
+    trials = two_trials(true={"friction.mu": 0.27, "buffer.k_A": 560.0})
+    free = calibrate(trials, ("mu", "buffer.k_A"), restarts=0)
+    error = 0.3 * float(free.errors[1])
+    known = calibrate(trials, ("mu",), weighed={"buffer.k_A": Weighed(560.0, error)}, restarts=0)
+    assert known.names == ("mu", "buffer.k_A")
+    # two independent measurements of one number
+    assert known.errors[1] == pytest.approx((free.errors[1] ** -2 + error**-2) ** -0.5, rel=0.1)
+
+
+def test_directions_without_information_are_said_in_words():
+    names = ("chaser.mass", "target.mass", "buffer.k_A", "mu")
+    parameters = parameters_of(short_scene(), names)
+    text, advice = direction_words(parameters, np.array([0.58, 0.58, 0.57, 0.01]))
+    assert text.startswith("only the ratios of chaser.mass, target.mass and buffer.k_A")
+    assert "--weighed chaser.mass=" in advice
+    text, _ = direction_words(parameters, np.array([0.0, 0.02, 0.0, 1.0]))
+    assert text == "mu: the measurements do not depend on it"
+    # no touch, no friction: the fit itself says so
+    launch = load_scene("tilt_0", {"run.t_end": 1.2})
+    found = calibrate([measured_trial(launch, {}, 1)], ("c_rr", "mu"), restarts=0)
+    assert any(finding.kind == "undetermined" for finding in found.findings)
+    assert np.isfinite(found.errors[0])
+    assert np.isinf(found.errors[1])
+
+
+def test_a_value_at_the_end_of_its_range_is_refused():
+    found = calibrate(
+        two_trials(true={**TRUE, "buffer.c_A": 12.98}), (*NAMES, "buffer.friction"), restarts=0
+    )
+    texts = [finding.text for finding in found.findings if finding.kind == "bound"]
+    assert texts == ["buffer.friction = 0 N is at the end of its range"]
+
+
+def test_an_interrupted_fit_is_the_state_so_far_and_says_so():
+    def interrupt(done, expected):
+        if done == 60:
+            raise KeyboardInterrupt
+
+    found = calibrate(two_trials(), NAMES, report=interrupt)
+    assert not found.is_found
+    assert [finding.kind for finding in found.findings] == ["unfinished"]
+    data = as_data(found, {})
+    assert data["is_found"] is False
+
+
+@pytest.mark.parametrize(
+    "trials, fit, said",
+    [
+        (lambda t: t, ("mu", "mu"), "parameter mu: given twice"),
+        (lambda t: t, ("c_A", "buffer.c_A"), "is also fitted as c_A"),
+        (lambda t: t, ("friction.nu",), "parameter friction.nu"),
+        (lambda t: t, ("initial.chaser.y",), "is of one trial, and always fitted"),
+        (lambda t: [], None, "trials: must be one run or more"),
+        (
+            lambda t: [t[0], t[1].replaced(given_scene=changed(t[1].scene, "cone.R_c", 0.016))],
+            None,
+            "trial 1: cone.R_c = 0.016, in trial 0 0.015: must be trials of one bench",
+        ),
+        (
+            lambda t: [
+                t[0].replaced(series={k: v for k, v in t[0].series.items() if k != "target"})
+            ],
+            None,
+            "contains no pose of the target",
+        ),
+    ],
+)
+def test_bad_input_is_one_line(trials, fit, said):
+    with pytest.raises((SceneError, RecordingError), match=said) as caught:
+        calibrate(trials(two_trials()), fit)
+    assert "\n" not in str(caught.value)
+
+
+def test_fewer_measurements_than_parameters_are_refused():
+    series = {
+        name: {source: Series(s.t[:2], s.values[:2]) for source, s in sources.items()}
+        for name, sources in two_trials()[0].series.items()
+        if name in ("chaser", "target")
+    }
+    run = two_trials()[0].replaced(series=series)
+    with pytest.raises(SceneError, match="12 measured values for 17 parameters"):
+        calibrate([run])
+
+
+def test_a_scene_that_fails_at_the_start_is_refused():
+    run = two_trials()[0]
+    broken = run.replaced(given_scene=changed(run.scene, "run.max_steps", 100))
+    with pytest.raises(SceneError, match="trial 0: cannot be simulated at the start"):
+        calibrate([broken], NAMES)
+
+
+def test_the_first_hold_after_the_release_ends_a_trial():
+    """Its log time is mapped to stamps by the poses near it, not by those of the start-up."""
+    run = two_trials()[0]
+    t = np.arange(-0.5, 5.0, 0.01)
+    late = np.where(t < 0.3, 0.08, 0.002)  # the recorder was slow while it started
+    chaser = Series(t, np.zeros((t.size, 3)), t + late)
+    held = np.array([True, True, False, False, True, True])
+    logged = np.array([-0.2, -0.1, 0.08, 2.0, 4.002, 4.1])
+    tables = {"/launcher/hold": Table({"t": logged, "data": held}, {})}
+    run = run.replaced(series={**run.series, "chaser": {"mocap": chaser}}, tables=tables)
+    assert hold_after_release(run) == pytest.approx(4.0 - 0.01, abs=1e-6)
+    never = run.replaced(tables={"/launcher/hold": Table({"t": logged[:4], "data": held[:4]}, {})})
+    assert hold_after_release(never) == math.inf
+
+
+@pytest.mark.parametrize(
+    "text, value, error",
+    [
+        ("chaser.mass=22.6 +- 0.02 kg", 22.6, 0.02),
+        ("chaser.mass=22600 g +- 20 g", 22.6, 0.02),
+        ("chaser.mass=22.6 +- 0.1%", 22.6, 0.0226),
+        ("buffer.k_A=0.64 +- 0.01 N/mm", 640.0, 10.0),
+        ("chaser.inertia=4.68e-1 +- 1e-3", 0.468, 1e-3),
+    ],
+)
+def test_weighed_values_are_read_with_units(text, value, error):
+    _, weighed = read_weighed(short_scene(), text)
+    assert weighed.value == pytest.approx(value)
+    assert weighed.error == pytest.approx(error)
+
+
+@pytest.mark.parametrize("text", ["chaser.mass=22.6", "chaser.mass", "chaser.mass=a +- b kg"])
+def test_weighed_values_that_are_none_are_refused(text):
+    with pytest.raises(SceneError, match="weighed chaser"):
+        read_weighed(short_scene(), text)
+
+
+def test_placement_is_read_with_units():
+    assert read_placement("0.2 mm, 1 mrad").position == pytest.approx(2e-4)
+    with pytest.raises(SceneError, match="placement 1: must be a length and an angle"):
+        read_placement("1")
+
+
+def test_a_prediction_has_the_spread_of_its_parameters():
+    """Its figures are those of the true bench within the errors that it says."""
+    found = calibrate(two_trials(), NAMES, predict=short_scene(0.08), restarts=0)
+    by_name = {figure.name: figure for figure in found.prediction.figures}
+    stroke = by_name["max_axial_stroke_in"]
+    true = calibrate_free(short_scene(0.08))
+    assert abs(stroke.value - true) < 4.0 * stroke.error + 1e-9
+    assert stroke.low < stroke.value < stroke.high
+
+
+def calibrate_free(scene):
+    from capture_sim.run.simulation import simulate
+    from capture_sim.scene.paths import with_values
+
+    return simulate(with_values(scene, TRUE)).loads["max_axial_stroke_in"]
+
+
+def test_the_calibrated_scene_can_be_loaded():
+    found = calibrate(two_trials(), NAMES, restarts=0)
+    text = found.scene.to_yaml()
+    scene = load_scene_text(text)
+    for path, value in found.fields.items():
+        assert get(scene, path) == pytest.approx(value)
