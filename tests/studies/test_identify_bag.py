@@ -12,7 +12,10 @@ from noisy_bench import (
     CELL_RATE,
     NAMES,
     PEAK_NOISE,
+    POSE_NOISE,
     START_NOISE,
+    STROKE_NOISE,
+    TORSION_NOISE,
     cell_force,
     counted,
     later,
@@ -61,16 +64,21 @@ def bench_bag(run, folder, force):
             turned = Quaternion(x=0.0, y=0.0, z=np.sin(theta / 2), w=np.cos(theta / 2))
             return {"pose": Pose(position=Point(x=x, y=y, z=0.0), orientation=turned)}
 
-        def with_hold(series):
-            measured = zip(series.t, series.values, strict=True)
-            return [*((t, series.values[0]) for t in held), *measured]
+        noise = np.random.default_rng(1)
+
+        def with_hold(series, at_rest, sigma):
+            before = at_rest + noise.normal(size=(held.size, *np.shape(at_rest))) * sigma
+            return [*zip(held, before, strict=True), *zip(series.t, series.values, strict=True)]
 
         for body in ("chaser", "target"):
-            rows = [(t, pose(row)) for t, row in with_hold(run.run.measured(body))]
+            start = getattr(run.scene.initial, body)
+            at_rest = np.array([start.x, start.y, start.theta])
+            measured = with_hold(run.run.measured(body), at_rest, POSE_NOISE)
+            rows = [(t, pose(row)) for t, row in measured]
             write(f"/motion_capture/{body}", "geometry_msgs/msg/PoseStamped", rows)
         stroke, torsion = (
-            with_hold(run.run.measured("stroke")),
-            with_hold(run.run.measured("torsion")),
+            with_hold(run.run.measured("stroke"), 0.0, STROKE_NOISE),
+            with_hold(run.run.measured("torsion"), 0.0, TORSION_NOISE),
         )
         joints = []
         for (t, along), (_, turned) in zip(stroke, torsion, strict=True):
