@@ -122,7 +122,7 @@ def test_bag_of_a_bench_gives_its_parameters_back(name, seed, release, tmp_path,
         assert abs(float(row[1]) - expected) < 3.0 * float(row[2]), row
     if not known:
         assert rows[4][0] == "release"
-        assert float(rows[4][2]) < 2e-4
+        assert float(rows[4][2]) < 4e-4  # with the start poses free as well
         assert "release=" not in said  # it is no field of the scene
     # without touches the restitution is known several times worse
     assert float(rows[1][2]) < 0.05 * run.true[1]
