@@ -95,6 +95,7 @@ def test_what_is_wrong_before_a_release_refuses_it(session):
     assert session.let_go == 0
 
 
+@pytest.mark.long
 def test_what_goes_wrong_in_flight_is_named(session):
     for fault, words in UNDECIDED.items():
         _, result = tried(session, fault)

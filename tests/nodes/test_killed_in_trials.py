@@ -1,9 +1,11 @@
 """Nodes that are killed in trials: the others are free again, and the result names the loss."""
 
+import pytest
 from capture_sim.action import RunTrial
 from rig_session import ABORTED, SUCCEEDED, Session
 
 
+@pytest.mark.long
 def test_killed_nodes_are_named_and_missed_by_no_later_trial(start, client, tmp_path):
     limits = {"closing_timeout": 10.0, "start_timeout": 60.0}
     session = Session(start, client, tmp_path, launcher=limits)
