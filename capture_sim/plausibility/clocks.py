@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -206,7 +207,7 @@ def _repeated(channel: Channel) -> float:
 def stamps_stand(motion: Motion) -> Iterator[Said]:
     """A clock that stands."""
     for channel in motion.measured.channels:
-        share = _repeated(channel)
+        share = motion.once(f"repeated {channel.topic}", partial(_repeated, channel))
         if share > _MOST and not _is_unset(motion, channel):
             yield Said(
                 channel.topic,
@@ -225,7 +226,7 @@ def stamps_stand(motion: Motion) -> Iterator[Said]:
 def stamps_repeat(motion: Motion) -> Iterator[Said]:
     """Stamps that repeat: of equal ones the first message counts."""
     for channel in motion.measured.channels:
-        share = _repeated(channel)
+        share = motion.once(f"repeated {channel.topic}", partial(_repeated, channel))
         if _FEW < share <= _MOST and not _is_unset(motion, channel):
             yield Said(
                 channel.topic,

@@ -69,8 +69,8 @@ def force_saturated(motion: Motion) -> Iterator[Said]:
     force = motion.force
     if force is None:
         return
-    kept = force.force[force.is_measured]
-    for axis, column in zip("xyz", kept.T, strict=True):
+    kept = force.force[force.is_measured, :2]
+    for axis, column in zip("xy", kept.T, strict=True):
         size = np.abs(column)
         largest = float(size.max())
         if largest <= max(1.0, 10.0 * noise(column)):

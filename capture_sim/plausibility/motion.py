@@ -78,9 +78,11 @@ class Motion:
 
     @cached_property
     def force(self) -> Forces | None:
-        """The load cell, if enough of its messages hold a measurement."""
+        """The load cell, if its axes are known and enough of its messages hold a measurement."""
         force = self.measured.force
-        return force if force is not None and force.is_measured.sum() >= MIN_MESSAGES else None
+        if force is None or frame_of(force.frame_ids) is None:
+            return None
+        return force if force.is_measured.sum() >= MIN_MESSAGES else None
 
     @cached_property
     def pair(self) -> Pair | None:

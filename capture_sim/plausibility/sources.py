@@ -131,7 +131,7 @@ def ends_early(motion: Motion) -> Iterator[Said]:
     ends = [float(channel.logged.max()) for channel in channels]
     for channel, end in zip(channels, ends, strict=True):
         early = max(ends) - end
-        if early > max(MAX_SILENCE, _MIN_INTERVALS * _interval(channel.logged)):
+        if early > MAX_SILENCE and early > _MIN_INTERVALS * _interval(channel.logged):
             yield Said(
                 channel.topic,
                 f"last message {early:.2f} s before that of the other sources: the source has "

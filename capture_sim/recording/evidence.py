@@ -8,6 +8,7 @@ import numpy as np
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages import topics
+from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.messages.topics import Topic
 from capture_sim.plausibility.measured import Deflections, Forces, Measured, Poses
 from capture_sim.recording.bag import Bag
@@ -91,6 +92,8 @@ def _poses(bag: Bag, topic: Topic, origin: int) -> Poses | None:
 
 
 def _deflections(bag: Bag, topic: Topic, origin: int) -> Deflections | None:
+    if topic is topics.JOINT_STATES and (found := _joints(bag, origin)) is not None:
+        return found
     with suppress(CaptureSimError):
         stamps, values, log_times = bag.measured(topic)
         if not stamps.size:
@@ -106,6 +109,23 @@ def _deflections(bag: Bag, topic: Topic, origin: int) -> Deflections | None:
             t, arrival = (stamps - origin) / 1e9, (log_times - origin) / 1e9
             return Deflections(topic.absolute_name, t, arrival, (), "", *values[:, :2].T)
     return None
+
+
+def _joints(bag: Bag, origin: int) -> Deflections | None:
+    """Return joint states that all name the buffer's joints alike, read together; else None."""
+    if (found := _readable(bag, topics.JOINT_STATES)) is None:
+        return None
+    columns, names = found[0], found[0]["name"].tolist()
+    position = columns["position"]
+    wanted = (SLIDE_JOINT, HINGE_JOINT)
+    is_same = position.ndim == 2 and all(each == names[0] for each in names)
+    if not is_same or any(names[0].count(name) != 1 for name in wanted):
+        return None
+    if position.shape[1] != len(names[0]):
+        return None
+    stroke, torsion = (position[:, names[0].index(name)] for name in wanted)
+    topic = topics.JOINT_STATES.absolute_name
+    return Deflections(topic, *_times(*found, origin), (), "", stroke, torsion)
 
 
 def _force(bag: Bag, origin: int) -> Forces | None:

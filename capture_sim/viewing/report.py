@@ -172,7 +172,7 @@ def _about(run: Run) -> dict[str, Any]:
         "name": run.name,
         "title": run.scene.title,
         "source": _source(run),
-        "problems": (*run.origin.left_out, *run.problems),
+        "problems": (*run.origin.left_out, *run.problems, *(doubt.line for doubt in run.doubts)),
         "software": ", ".join(run.origin.software) or "not known",
         "error": error_statement(run) if run.is_exact else _MEASURED,
         "course": course,
