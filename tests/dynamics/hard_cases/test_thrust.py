@@ -116,9 +116,12 @@ def test_a_force_in_sustained_contact_pushes_both_vehicles():
 
 
 def pushed_at_random(scene, seed):
-    """The largest residual and the work of a run with wrenches that change every 20 to 200 ms."""
+    """The largest residual and the work of a run with wrenches that change every 20 to 200 ms.
+
+    At rtol 1e-11: the residual is the integration's error, at 1e-9 up to 1.3e-8 J in these scenes.
+    """
     rng = np.random.default_rng(seed)
-    bench, begin, largest = Bench(altered(scene, {"run.rtol": 1e-9, "run.t_end": 1.5})), 0.0, 0.0
+    bench, begin, largest = Bench(altered(scene, {"run.rtol": 1e-11, "run.t_end": 1.5})), 0.0, 0.0
     while not bench.done:
         until = begin + rng.uniform(0.02, 0.2)
         bench.thrust(rng.normal(0, (1, 1, 0.05)), rng.normal(0, (1, 1, 0.05)), until)
