@@ -15,7 +15,7 @@ import numpy as np
 from capture_sim.base.compiled.kernels import records
 from capture_sim.dynamics.engine import loop
 from capture_sim.dynamics.engine.state import EVENT, N_WATCHED, Segment, Status
-from capture_sim.dynamics.event_text import AT_WALL, event_text
+from capture_sim.dynamics.event_log import EventLog, events_in
 from capture_sim.dynamics.memory import STATE_BYTES, Memory, first_state, joined
 from capture_sim.dynamics.model.contact import FRICTION_LAWS, power_law
 from capture_sim.dynamics.model.equations import hold_at_rest
@@ -195,6 +195,11 @@ class Bench:
         """Events so far, in order; the list grows as the run advances."""
         self._read_events()
         return self._events
+
+    @property
+    def event_log(self) -> EventLog:
+        """Events so far, which become objects when they are read."""
+        return EventLog(self._events, self._unread)
 
     def times_of(self, kind: EventKind) -> np.ndarray:
         """Return the times of the events of a kind so far, (n,), s, without creating the events."""
@@ -449,16 +454,11 @@ class Bench:
     def _read_events(self) -> None:
         """Convert the raw events of the engine to Python objects."""
         unread, self._unread = self._unread, []
-        for batch in unread:
-            columns = (batch[name].tolist() for name in ("kind", "t", "which", "value"))
-            for number, (code, t, which, value) in enumerate(zip(*columns, strict=True)):
-                kind, touch = EventKind(code), None
-                if kind is EventKind.LIFT_OFF:
-                    touch = batch["touch"][number]
-                    self._touches.append(touch)
-                q, v = batch["q"][number], batch["v"][number]
-                wall, detail = which if kind in AT_WALL else 0, event_text(kind, which, value)
-                self._events.append(Event(kind, t, q, v, wall, detail, touch))
+        for log in unread:
+            for event in events_in(log):
+                if event.touch is not None:
+                    self._touches.append(event.touch)
+                self._events.append(event)
 
 
 def error_scale(par: np.void) -> np.ndarray:

@@ -139,7 +139,7 @@ def simulate(
         state=samples,
         series=Deferred(partial(_series_of, scene, samples, grid)),
         located_touches=bench.touches,
-        logged_events=tuple(bench.events),
+        logged_events=bench.event_log,
         # of a noisy bench, the detector's own
         reported_statuses=None if is_noisy else _of_judged(judged, "statuses"),
         located_extremes=bench.extremes,

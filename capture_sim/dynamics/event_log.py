@@ -1,0 +1,55 @@
+"""The events of a run, from the engine's records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import overload
+
+import numpy as np
+
+from capture_sim.dynamics.event_text import AT_WALL, event_text
+from capture_sim.dynamics.samples import Event, EventKind
+
+
+def events_in(log: np.ndarray) -> Iterator[Event]:
+    """Yield the events of records of the engine's log, (n,)."""
+    columns = (log[name].tolist() for name in ("kind", "t", "which", "value"))
+    for number, (code, t, which, value) in enumerate(zip(*columns, strict=True)):
+        kind = EventKind(code)
+        touch = log["touch"][number] if kind is EventKind.LIFT_OFF else None
+        wall, detail = which if kind in AT_WALL else 0, event_text(kind, which, value)
+        yield Event(kind, t, log["q"][number], log["v"][number], wall, detail, touch)
+
+
+class EventLog(Sequence[Event]):
+    """Events in order, each an object once it is read: a run with many touches has hundreds."""
+
+    def __init__(self, first: Sequence[Event], logs: Sequence[np.ndarray]) -> None:
+        self._first, self._logs = tuple(first), tuple(logs)
+
+    @cached_property
+    def _all(self) -> tuple[Event, ...]:
+        return (*self._first, *(event for log in self._logs for event in events_in(log)))
+
+    def __len__(self) -> int:
+        return len(self._first) + sum(map(len, self._logs))
+
+    def __iter__(self) -> Iterator[Event]:
+        """Yield the events in order; those after the last that is asked for are not made."""
+        if "_all" in self.__dict__:
+            yield from self._all
+            return
+        yield from self._first
+        for log in self._logs:
+            yield from events_in(log)
+
+    @overload
+    def __getitem__(self, index: int) -> Event: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Event, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> Event | tuple[Event, ...]:
+        """Return one event, or some."""
+        return self._all[index]
