@@ -225,8 +225,21 @@ def overridden_name(scene: Scene) -> str:
 def check_scene(scene: Scene) -> LaunchPlan:
     """Check the rules that tie the parts of a scene together, and return its launch plan.
 
-    SceneError names the first rule that the scene breaks.
+    SceneError names the first rule that the scene breaks.  A scene that was just checked, as by
+    :func:`change_scene` before its run, is not checked again.
     """
+    global _checked
+    last = _checked
+    if last is None or last[0] is not scene:
+        last = _checked = scene, _plan_of(scene)
+    return last[1]
+
+
+#: The scene that was checked last, and its plan.
+_checked: tuple[Scene, LaunchPlan] | None = None
+
+
+def _plan_of(scene: Scene) -> LaunchPlan:
     rules = (
         *(_contact, _contact_table, _friction, _throat, _force_table, _stops, _rates),
         *(_start, _supports, _rail, _string, _latch, _thrusters),
