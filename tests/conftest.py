@@ -114,9 +114,12 @@ def _save_no_rrd(runs, path, *_):
 def blank_pictures(monkeypatch):
     """Save every picture as one pixel, and an empty file for rerun with a run's pictures."""
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", _save_blank)
-    monkeypatch.setattr("capture_sim.viewing.report.small_png", lambda figure, dpi: _pixel())
+    # by its module: a test that hides a package leaves another capture_sim.viewing in its parent
+    report = import_module("capture_sim.viewing.report")
+    monkeypatch.setattr(report, "small_png", lambda figure, dpi: _pixel())
     with suppress(ImportError):  # a system's ROS has no rerun
-        monkeypatch.setattr("capture_sim.viewing.rerun_view.save_rrd", _save_no_rrd)
+        rerun_view = import_module("capture_sim.viewing.rerun_view")
+        monkeypatch.setattr(rerun_view, "save_rrd", _save_no_rrd)
 
 
 @pytest.fixture
