@@ -9,6 +9,7 @@ import numpy as np
 
 from capture_sim.plausibility.motion import Motion
 from capture_sim.plausibility.rules import Grade, Said, rule
+from capture_sim.plausibility.signals import noise
 
 #: Units that drivers send in place of m and rad.
 LENGTHS = {"mm": 1e-3, "cm": 1e-2, "inch": 0.0254, "foot": 0.3048}
@@ -20,6 +21,8 @@ _LARGEST_BENCH = 20.0
 _ENERGY_MARGIN = 8.0
 #: Least limits of stroke, m, and torsion, rad, whatever the energy.
 _LEAST_STROKE, _LEAST_TORSION = 0.05, 0.1
+#: Noise of an encoder beyond this is that of another unit, m and rad.
+_MOST_NOISE = (2e-3, 2e-2)
 #: Strokes beyond a stop by this are doubted, m: stops yield, and encoders have an offset.
 _STOP_MARGIN = 2e-3
 
@@ -83,7 +86,7 @@ def _unit_of(motion: Motion, expected: float) -> str:
     Grade.REFUSED,
     compares="largest stroke with the probe, and stroke and torsion with the approach's energy",
     threshold="stroke > the probe's length, or either > 8 times what that energy can deflect "
-    "(at least 0.05 m and 0.1 rad)",
+    "(at least 0.05 m and 0.1 rad), or noise > 2 mm and 20 mrad",
     reason="mm makes a stroke 1000, inch 39, deg a torsion 57 times too large; a push by hand "
     "stays below",
     needs_scene=True,
@@ -94,6 +97,15 @@ def buffer_units(motion: Motion) -> Iterator[Said]:
     if buffer is None or scene is None:
         return
     kept = buffer.is_measured
+    scatter = noise(buffer.stroke[kept]), noise(buffer.torsion[kept])
+    if scatter[0] > _MOST_NOISE[0] or scatter[1] > _MOST_NOISE[1]:
+        yield Said(
+            buffer.topic,
+            f"noise {scatter[0]:.3g} m of the stroke, {scatter[1]:.3g} rad of the torsion: must be "
+            f"below {_MOST_NOISE[0]:g} m and {_MOST_NOISE[1]:g} rad; they look like mm or deg; "
+            "have the driver send m and rad",
+        )
+        return
     stroke = float(np.percentile(np.abs(buffer.stroke[kept]), 99.8))
     torsion = float(np.percentile(np.abs(buffer.torsion[kept]), 99.8))
     energy = 0.5 * scene.chaser_total_mass * _speed(motion) ** 2

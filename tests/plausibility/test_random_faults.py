@@ -156,7 +156,9 @@ def named_or_right(fault, seed):
     if doubts := check(wrong, scene):
         assert all(doubt.text and doubt.topic for doubt in doubts)
         return
-    assert verdict(wrong, scene) == verdict(clean, scene)
+    # nothing is known of the end where a source has stopped
+    allowed = {verdict(clean, scene), *({"undecided"} if fault == "a source stops" else ())}
+    assert verdict(wrong, scene) in allowed
 
 
 @pytest.mark.parametrize("fault", FAULTS)
