@@ -33,7 +33,7 @@ help:
 	@echo "make benchmark   measure speed against error; writes docs/benchmark.md (8 min)"
 	@echo "make reproduction compare the paper's results with ours; writes docs/reproduction.md (2 min)"
 	@echo "make faults      insert faults into copies, one a core; list those that no test detects"
-	@echo "                 (22 min of one core; JOBS=N for N at once)"
+	@echo "                 (22 min of one core; JOBS=N for N at once; CASES=all: by make test-all)"
 	@echo "make picture     remake the pictures in README.md and docs/; needs chromium and a Vulkan driver"
 	@echo "make format      format the Python files as lint requires"
 	@echo "make lock        pin the packages again after pyproject.toml has changed"
@@ -117,7 +117,7 @@ reproduction: develop
 	$(BIN)/python -m benchmarks.reproduction
 
 faults: develop
-	$(BIN)/python tests/faults/run.py $(if $(JOBS),--jobs $(JOBS))
+	$(BIN)/python tests/faults/run.py $(if $(JOBS),--jobs $(JOBS)) $(if $(CASES),--cases $(CASES))
 
 picture: develop
 	$(BIN)/capture-sim run tilt_0 tilt_p10 tilt_m10 --out build/picture
