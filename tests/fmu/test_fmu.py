@@ -172,7 +172,8 @@ def test_a_step_returns_early_at_each_event(unit, instances):
         found += [t] * is_early
     events = [event.t for event in simulate("tilt_0").events if 0.0 < event.t < 3.0]
     assert len(found) > 10
-    assert found == pytest.approx(np.unique(events), abs=EQUAL)
+    # compiled apart, they round differently, and each touch enlarges that: 2e-12 s after twenty
+    assert found == pytest.approx(np.unique(events).tolist(), abs=1e-10)
 
 
 def test_the_run_ends_where_its_scene_ends(unit, instances):
