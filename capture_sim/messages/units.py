@@ -43,6 +43,8 @@ def unit_of(type_name: str, column: str) -> str:
         if field in ("q", "v"):  # coordinates of the bench, and their rates
             unit = "rad" if member.startswith("theta") else "m"
             return unit if field == "q" else f"{unit}/s"
+        if field == "thrust":
+            return "N m" if member.endswith("z") else "N"
         return _declared(type_name).get(field, "")
     is_acceleration = "Accel" in type_name
     return _VECTORS.get(vector, "") if last in ("x", "y", "z") and not is_acceleration else ""

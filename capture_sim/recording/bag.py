@@ -178,11 +178,12 @@ class Bag(RecordedTopics):
     def has_end(self) -> bool:
         """Whether the end of the run is recorded.
 
-        That is a complete simulation; of a real bench, in an undamaged file, a final status of the
-        detector, the counts that a node sends at the end, or a chaser that is held again.
+        That is the simulator's report, also of a run that it ended early; of a real bench, in an
+        undamaged file, a final status of the detector, the counts that a node sends at the end, or
+        a chaser that is held again.
         """
         if SIMULATOR in self._publishers:
-            return not is_cut(self)
+            return SIMULATOR in self.columns_if_typed(STREAM_COUNTS).get("publisher", ())
         if self.damage:
             return False
         has_verdict = self.holds(CAPTURE_STATUS) and self.statuses[-1].final

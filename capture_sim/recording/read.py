@@ -73,8 +73,9 @@ def run_of(bag: Bag, scene: Scene | None = None) -> Run:
     """Return the run in a bag; see :func:`read_run`."""
     if len(bag.run_ids) > 1:
         raise RecordingError(f"{bag.path}: contains {len(bag.run_ids)} runs: must be one run")
+    sha256 = ""
     if scene is None and bag.has_scene:
-        scene = bag.scene
+        scene, sha256 = bag.scene, bag.metadata.get("scene_sha256", "")
 
     def of_topic(topic: Topic, name: str) -> Deferred[Any] | None:
         """Return a property of the bag; None if a foreign topic has the name of ours."""
@@ -82,7 +83,7 @@ def run_of(bag: Bag, scene: Scene | None = None) -> Run:
 
     return Run(
         name=bag.name,
-        origin=_origin_of(bag),
+        origin=_origin_of(bag, sha256),
         given_scene=scene,
         state=of_topic(BENCH_STATE, "samples"),
         series=series_of(bag),
@@ -100,9 +101,10 @@ def run_of(bag: Bag, scene: Scene | None = None) -> Run:
     )
 
 
-def _origin_of(bag: Bag) -> Origin:
+def _origin_of(bag: Bag, scene_sha256: str) -> Origin:
     return Origin(
         path=str(bag.path),
+        scene_sha256=scene_sha256,
         software=tuple(filter(None, bag.metadata.get("software", "").split("\n"))),
         release=bag.clock.origin,
         after_first_pose=bag.clock.after_first_pose,

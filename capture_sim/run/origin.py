@@ -33,6 +33,9 @@ class Origin:
     path: str = ""  # of the recording; empty for a run of :func:`capture_sim.simulate`
     # that made it, ``"name version"`` each; asks git, which takes as long as a run
     software: Lazy[tuple[str, ...]] = Lazy(tuple)
+    # of the recorded scene, as the version that recorded it wrote it: a scene gains fields; empty
+    # for a run of :func:`capture_sim.simulate`
+    scene_sha256: str = ""
     release: Release = Release.STAMP
     after_first_pose: float = 0.0  # s, of the release
     # used by the live detector
@@ -41,11 +44,14 @@ class Origin:
     left_out: tuple[str, ...] = ()  # topics that cannot be read, one line each
 
 
-def scene_origin(scene: Scene) -> dict[str, Any]:
-    """Return name, overrides and hash of a scene, and the seed of its sensors (None without)."""
+def scene_origin(scene: Scene, sha256: str = "") -> dict[str, Any]:
+    """Return name, overrides and hash of a scene, and the seed of its sensors (None without).
+
+    ``sha256`` is the hash of the scene as it was recorded; without one, of its text today.
+    """
     return {
         "scene": scene.name,
         "overrides": overrides_of(scene),
-        "scene_sha256": scene_hash(scene.to_yaml()),
+        "scene_sha256": sha256 or scene_hash(scene.to_yaml()),
         "seed": None if scene.sensors is None else scene.sensors.seed,
     }

@@ -8,7 +8,7 @@ from __future__ import annotations
 import html
 import importlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -223,6 +223,8 @@ class Run:
     def replaced(self, **changes: Any) -> Run:
         """Return the run with changed fields; topics that are not yet decoded stay so."""
         kept = {f.name: self.__dict__[f.name] for f in fields(self)}
+        if "given_scene" in changes and "origin" not in changes:
+            changes = {**changes, "origin": replace(self.origin, scene_sha256="")}
         run = Run(**{**kept, **changes})
         if "doubts" in self.__dict__ and not changes.keys() & {"evidence", "given_scene", "waived"}:
             run.__dict__["doubts"] = self.doubts  # known already
@@ -233,7 +235,7 @@ class Run:
         """How the run was made: source, scene, overrides, hash of the scene, seed, software."""
         made_by: dict[str, Any] = {"source": self.origin.path or "simulated"}
         if self.given_scene is not None:
-            made_by |= scene_origin(self.given_scene)
+            made_by |= scene_origin(self.given_scene, self.origin.scene_sha256)
         return {**made_by, "software": list(self.origin.software)}
 
     # measurements

@@ -284,7 +284,8 @@ def _described(part: type) -> Iterator[tuple[str, str, str, list[str]]]:
             kind = f"{hint} ({unit})" if unit != "1" else hint
             yield name, kind, declaration.metadata["doc"], []
         else:
-            inner = next(p for p in Checked.__subclasses__() if hint.startswith(p.__name__))
+            kind = hint.partition(" ")[0]  # without "| None"
+            inner = next(p for p in Checked.__subclasses__() if p.__name__ == kind)
             summary = (inner.__doc__ or "").partition("\n")[0].rstrip(".")
             yield name, hint, summary, list(_field_lines(inner))
 

@@ -75,7 +75,9 @@ def test_detect_agrees_with_the_detector_of_that_time(name, capsys):
     out, err = capsys.readouterr()
     assert re.search(r"verdict: (\w+)", out)[1] == then
     assert out.rstrip().endswith("the same")
-    assert err == ""
+    # the rigs of these trials gave their force no frame, which a note says
+    notes = [line for line in err.splitlines() if "noted (force_frame_empty)" not in line]
+    assert notes == []
     assert read_run(path).statuses[-1].state.label == then
 
 

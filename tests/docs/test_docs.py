@@ -49,7 +49,13 @@ EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")
 #: Blocks that are not run, by why.
 LEFT_OUT = {"ros2": 10, "terminals": 8, "minutes": 6, "make": 2}
 #: Pages whose blocks take seconds, and show what tests of its own have.
-SLOW_PAGES = {"docs/design.md", "docs/fmu.md", "docs/looking_at_runs.md", "docs/sweep.md"}
+SLOW_PAGES = {
+    "docs/calibrate.md",
+    "docs/design.md",
+    "docs/fmu.md",
+    "docs/looking_at_runs.md",
+    "docs/sweep.md",
+}
 #: Pages that are measured, by what they claim; the others are written.
 EVIDENCE = {
     "benchmark",

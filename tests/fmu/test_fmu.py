@@ -25,8 +25,9 @@ from capture_sim.fmu.machine_code import instructions
 from capture_sim.hardware.law import TipState, WallLaw, Walls
 
 ROOT = Path(__file__).resolve().parents[2]
-#: Every instance that runs the same machine code does the same operations; 1e-12 is the promise.
-EQUAL = 1e-12
+#: A unit is compiled by itself, and may round other than the kernels of Python; touches enlarge the
+#: difference.  1e-9 is the promise.
+EQUAL = 1e-9
 SCENES = [name for name in scene_names() if not name.startswith("_")]
 
 

@@ -270,6 +270,7 @@ def test_a_driver_holds_when_the_launcher_is_killed(start):
     with Client() as client:
         poses = client.listen(CHASER_POSE)
         options = {"start_timeout": 120.0, "max_pose_age": 10.0, "max_hold_silence": 10.0}
+        options |= {"require_recorder": False, "require_detector": False}
         launcher = start("launcher", actuator="output", scene="tilt_0", **options)
         launcher.wait_for("ready for trials")
         with rig(FakeRig, {"hold_timeout": 1.0}) as node:

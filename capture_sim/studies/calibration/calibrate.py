@@ -102,7 +102,7 @@ class Lacking(NamedTuple):
     gain: float  # decrease of chi2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Calibration:
     """Parameters of a bench, their errors, and the tests of both; SI units."""
 
@@ -129,6 +129,11 @@ class Calibration:
     prediction: Prediction | None = field(default=None, repr=False)
     problem: Problem | None = field(default=None, repr=False)
     linear: Linear | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        """Return the values and whether they count, in one line."""
+        values = (f"{n} = {v:.6g}" for n, v in zip(self.names, self.values, strict=True))
+        return f"Calibration({', '.join(values)}; {'found' if self.is_found else 'not found'})"
 
     @property
     def is_found(self) -> bool:
@@ -230,13 +235,13 @@ def calibrate(
 
     Examples
     --------
-    >>> import capture_sim  # doctest: +SKIP
-    >>> trials = [capture_sim.read_run(f"trial_{k}.mcap") for k in range(3)]  # doctest: +SKIP
-    >>> found = capture_sim.calibrate(
-    ...     trials, weighed={"chaser.mass": "22.6 +- 0.02 kg"}
-    ... )  # doctest: +SKIP
-    >>> found.is_found  # doctest: +SKIP
+    >>> import capture_sim
+    >>> trial = capture_sim.simulate("tilt_0")  # in place of a recording
+    >>> found = capture_sim.calibrate([trial], ["c_rr"], restarts=1)
+    >>> found.is_found
     True
+    >>> found
+    Calibration(c_rr = 0.001; found)
     """
     if not trials:
         raise SceneError("trials: must be one run or more")
