@@ -256,8 +256,21 @@ size_t cs_output_count(void) { return CS_OUTPUT_COUNT; }
 
 const cs_variable *cs_output(size_t index) { return &cs_outputs[index]; }
 
+/* Closest approach so far: of the integrator's steps, before and after the latch, up to the start of
+ * the present one, and of the detector's samples and the latest one, which may be in it. */
+static double nearest_distance(const cs_bench *bench) {
+  double nearest = *(const double *)(bench->sample + CS_TIP_DISTANCE);
+  double sampled = *(const double *)(bench->detector.memory + CS_NEAREST_PLACE - CS_SAMPLE_SIZE);
+  double before = fabs(*number((cs_bench *)bench, CS_NEAREST_BEFORE));
+  double after = fabs(*number((cs_bench *)bench, CS_NEAREST_AFTER));
+  if (sampled < nearest) nearest = sampled;
+  if (before < nearest) nearest = before;
+  return *integer((cs_bench *)bench, CS_LATCHED) && after < nearest ? after : nearest;
+}
+
 double cs_read(const cs_bench *bench, size_t index) {
   size_t offset = cs_output_places[index];
+  if (offset == CS_NEAREST_PLACE) return nearest_distance(bench);
   const unsigned char *place = offset < CS_SAMPLE_SIZE
                                    ? bench->sample + offset
                                    : bench->detector.memory + (offset - CS_SAMPLE_SIZE);

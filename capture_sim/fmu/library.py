@@ -19,7 +19,7 @@ from capture_sim.detection.criteria import MEMORY, Criteria, new_memory
 from capture_sim.detection.exact import ROW
 from capture_sim.dynamics.bench import CAUSES, Bench
 from capture_sim.dynamics.engine.state import EVENT, WORKSPACE, Status
-from capture_sim.dynamics.samples import SAMPLE, EventKind
+from capture_sim.dynamics.samples import EXTREME_NAMES, SAMPLE, EventKind
 from capture_sim.fmu.machine_code import ENTRIES, FmuError, instructions, machine_code
 from capture_sim.fmu.variables import Variable, inputs, offset_of, outputs, parameters
 from capture_sim.scene.parts import Scene
@@ -131,6 +131,7 @@ def _header(unit: Unit, workspace: np.ndarray, without_walls: np.ndarray) -> str
     before, after = (record.view("u8").tolist() for record in (workspace, without_walls))
     places_of_words = [k for k, word in enumerate(before) if word != after[k]]
     width = max(len(variable.places) for variable in found)
+    nearest = offset_of(WORKSPACE, "totals", "extreme") + 8 * EXTREME_NAMES.index("tip_distance")
     constants = {
         "WORKSPACE_SIZE": WORKSPACE.itemsize,
         "STATE_SIZE": offset_of(WORKSPACE, "log"),
@@ -145,6 +146,12 @@ def _header(unit: Unit, workspace: np.ndarray, without_walls: np.ndarray) -> str
         "T_STOP": offset_of(WORKSPACE, "progress", "t_stop"),
         "N_LOG": offset_of(WORKSPACE, "progress", "n_log"),
         "LOG": offset_of(WORKSPACE, "log"),
+        # the detector's own is of its samples only
+        "NEAREST_PLACE": SAMPLE.itemsize + offset_of(MEMORY, "nearest"),
+        "NEAREST_BEFORE": nearest,
+        "NEAREST_AFTER": nearest + 8 * len(EXTREME_NAMES),
+        "LATCHED": offset_of(WORKSPACE, "system", "mode", "latched"),
+        "TIP_DISTANCE": offset_of(SAMPLE, "tip_distance"),
         "EVENT_SIZE": EVENT.itemsize,
         "EVENT_TIME": offset_of(EVENT, "t"),
         "EVENT_KIND": offset_of(EVENT, "kind"),

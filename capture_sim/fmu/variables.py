@@ -102,12 +102,7 @@ def offset_of(record: np.dtype, *names: str) -> int:
 _DETECTED = (
     Variable("capture_state", "1", (), Kind.INTEGER, doc="verdict", values=CaptureState),
     Variable("capture_since", "s", (), doc="begin of the present capture_state"),
-    Variable(
-        "nearest_distance",
-        "m",
-        (),
-        doc="closest approach of the tip to BE at the samples of run.rate",
-    ),
+    Variable("nearest_distance", "m", (), doc="closest approach of the tip to BE so far"),
 )
 _REMEMBERED = ("state", "since", "nearest")
 

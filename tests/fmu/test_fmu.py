@@ -153,12 +153,21 @@ def statuses_of(unit, instances, name, changes):
 def test_the_units_verdict_is_that_of_the_run_at_the_same_time(
     unit, instances, name, changes, verdict
 ):
-    """Status by status, and at the end of a run that had no verdict before."""
+    """Status by status, and at the end of a run that had no verdict before.
+
+    The closest approach is located between the samples, which the detector's cannot be below.
+    """
     result, found, instance = statuses_of(unit, instances, name, changes)
     *during, last = result.statuses
     assert last.state.label == verdict
-    own = [(s.t, int(s.state), s.t - s.time_in_state, s.nearest_distance) for s in during]
-    assert np.array(found) == pytest.approx(np.array(own[: len(found)]), abs=1e-9)
+    own = np.array([(s.t, int(s.state), s.t - s.time_in_state) for s in during])
+    assert np.array(found)[:, :3] == pytest.approx(own[: len(found)], abs=1e-9)
+    nearest = np.array([each[3] for each in found])
+    sampled = np.array([s.nearest_distance for s in during])[: len(found)]
+    assert (np.diff(nearest) <= 1e-9).all()
+    assert (nearest <= sampled + 1e-9).all()
+    located = result.summary["nearest_distance"]
+    assert instance.get("nearest_distance") == pytest.approx(located, abs=1e-9)
     assert len(found) >= len(own) - 1
     assert instance.get("capture_state", "Int64") == int(last.state)
     assert instance.get("capture_since") == pytest.approx(last.t - last.time_in_state, abs=1e-9)
