@@ -111,8 +111,8 @@ def few_messages(motion: Motion) -> Iterator[Said]:
         if channel.count < MIN_MESSAGES and most >= 10 * channel.count + MIN_MESSAGES:
             yield Said(
                 channel.topic,
-                f"{channel.count} of {most} messages: must be {MIN_MESSAGES} or more; check the "
-                "driver's rate and its quality of service",
+                f"messages: {channel.count}, where another source has {most}: must be "
+                f"{MIN_MESSAGES} or more; check the driver's rate and its quality of service",
             )
 
 

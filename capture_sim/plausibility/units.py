@@ -69,12 +69,14 @@ def _unit_of(motion: Motion, expected: float) -> str:
     """Return the unit in which the distance is that at contact, within a factor of 2; or none."""
     assert motion.pair is not None
     of_c, of_t = motion.pair.chaser[:, :2], motion.pair.target[:, :2]
-    for unit, factor in LENGTHS.items():
-        for name, (by_c, by_t) in {
-            "": (factor, factor),
-            " (the chaser's)": (factor, 1.0),
-            " (the target's)": (1.0, factor),
-        }.items():
+    # both vehicles before one alone: a small factor of one hides its position altogether
+    for name, (has_c, has_t) in {
+        "": (True, True),
+        " (the chaser's)": (True, False),
+        " (the target's)": (False, True),
+    }.items():
+        for unit, factor in LENGTHS.items():
+            by_c, by_t = factor if has_c else 1.0, factor if has_t else 1.0
             distance = np.hypot(*(by_t * of_t - by_c * of_c).T)
             if 0.6 * expected < float(np.percentile(distance, 2.0)) < 3.0 * expected:
                 return unit + name
