@@ -124,7 +124,7 @@ class _Participation:
     def note_message(self, topic: Topic) -> None:
         """Note a message of the run.
 
-        The sensors of a real bench send whoever is there: they are no sign of the node that has
+        The sensors of a real bench send in any case: they are no sign of the node that has
         announced the run.  After a trial's end the last messages of the nodes are waited for.
         """
         is_of_simulator = self.run.simulated and is_own(topic)
