@@ -1,4 +1,4 @@
-"""Where the time of a run goes: the account on docs/benchmark.md.
+"""Where the time of a run goes: the account on docs/evidence/benchmark.md.
 
     python -m benchmarks.account            # ten minutes; writes the table and the picture
     python -m benchmarks.account --dry      # only shows the table
@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.before import ROOT, environment, python
-from benchmarks.pages import DOCS, table, write_parts
+from benchmarks.pages import EVIDENCE, table, write_parts
 from capture_sim import load_scene
 
 _SOLVER, _STEPS = "dynamics/solver/runge_kutta.py", "dynamics/engine/steps.py"
@@ -337,7 +337,7 @@ def account(asked: Namespace, _: Path) -> list[str]:
     for name in next(iter(found.values())).apart:
         row(f"besides: {name}", [each.apart[name] for each in found.values()])
     if not asked.dry:
-        draw(found, DOCS / "benchmark" / "account.svg")
+        draw(found, EVIDENCE / "benchmark" / "account.svg")
     return [table(["ns for each evaluation", *found], rows)]
 
 

@@ -3,10 +3,10 @@
     python -m benchmarks.design           # half an hour; --scenes 2 for a look
     python -m benchmarks.design fronts    # six designs against the best known, 30 minutes
 
-Writes the parts of docs/random_scenes.md and the figures.  A row of a front is compared with the
-best buffer that any call has found at its stroke.  What objectives trade is read from grids of
-20^3 buffers over the search ranges; the grids are kept.  A buffer for the strokes of the first
-contact is checked by runs at a tenth of the tolerance.
+Writes the parts of docs/evidence/random_scenes.md and the figures.  A row of a front is compared
+with the best buffer that any call has found at its stroke.  What objectives trade is read
+from grids of 20^3 buffers over the search ranges; the grids are kept.  A buffer for the strokes of
+the first contact is checked by runs at a tenth of the tolerance.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.pages import DOCS, table, write_parts
+from benchmarks.pages import DOCS, EVIDENCE, table, write_parts
 from capture_sim import load_scene, simulate
 from capture_sim.run.first_contact import first_cluster
 from capture_sim.scene.approach import Approach, placed
@@ -380,7 +380,7 @@ def paper(asked: Namespace, _: Path) -> list[str]:
     assert design.capturing is not None
     assert design.energy is not None
     if not asked.dry:
-        save(draw_first_contact_design(design), DOCS / "design" / "design.png")
+        save(draw_first_contact_design(design), EVIDENCE / "design" / "design.png")
     b, (low, high), energy = design.scene.buffer, design.capturing, design.energy
     springs = sum(trial.verdict is None for trial in design.history)
     return [

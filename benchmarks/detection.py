@@ -1,4 +1,4 @@
-"""Error rates of the capture detector on noisy replays; writes them into docs/detection_checked.md.
+"""Error rates of the detector on noisy replays, for docs/evidence/detection_checked.md.
 
 python -m benchmarks.detection    # --replays 10 --sweep 1 --injections 1 for a look
 

@@ -1,6 +1,6 @@
 """The node part of ``make test`` again and again on a busy machine: is it ever red?
 
-    python -m benchmarks.green                  30 times, 2 hours; writes docs/node_suite.md
+    python -m benchmarks.green                  30 times, 2 hours; for docs/evidence/node_suite.md
     python -m benchmarks.green --runs 2 --dry   only shows what it finds
 
 Two processes keep the processors busy, a suite of three experiments runs in a loop in a domain of

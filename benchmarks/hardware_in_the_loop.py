@@ -1,4 +1,4 @@
-"""Restitution, energy and load of a rig in the loop; writes docs/hardware_checked.md.
+"""Restitution, energy and load of a rig in the loop; writes docs/evidence/hardware_checked.md.
 
 python -m benchmarks.hardware_in_the_loop    # half an hour, in one process
 """

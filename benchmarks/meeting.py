@@ -6,8 +6,8 @@ Plain participants, a process each, forked; every one publishes a number each 0.
 and a transient-local topic, reliable and KEEP_ALL, and reads all others'.  Each is stopped
 once, one after another 0.4 s apart; then half of them at once.  After each, the pairs of reader and
 writer are listed of which the reader hears nothing 30 s after the last stop, and whether each
-knows the other: in a half match only one does.  docs/node_suite.md shows its packets and how to
-record them.
+knows the other: in a half match only one does.  docs/evidence/node_suite.md shows its packets and
+how to record them.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
     python -m benchmarks.node_suite paced kills --kills 5
 
 Starts the real nodes, each in a process of its own, over real DDS on loopback; writes the parts of
-docs/node_suite.md.  Every wait has a limit: a node that hangs fails its part.
+docs/evidence/node_suite.md.  Every wait has a limit: a node that hangs fails its part.
 """
 
 from __future__ import annotations

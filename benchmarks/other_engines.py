@@ -1,4 +1,4 @@
-"""Other engines on the paper's scene, configured as closely as possible: docs/engines.md.
+"""Other engines on the paper's scene, configured as closely as possible: docs/evidence/engines.md.
 
     python -m benchmarks.other_engines
 

@@ -1,4 +1,4 @@
-"""docs/benchmark.md: the measured parts of it, from one run of the benchmark."""
+"""docs/evidence/benchmark.md: the measured parts of it, from one run of the benchmark."""
 
 from __future__ import annotations
 

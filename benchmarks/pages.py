@@ -23,6 +23,8 @@ from capture_sim.base.files import whole_file
 from capture_sim.dynamics.compilation import compile_kernels
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
+#: Pages of measurements only, with their pictures.
+EVIDENCE = DOCS / "evidence"
 _BEGIN, _END = "<!-- measured: {} -->", "<!-- end of measured -->"
 
 
@@ -43,7 +45,8 @@ def write_parts(
     Parameters
     ----------
     page
-        In docs/ whose parts are written, without ``.md``; None to show them only.
+        Name without ``.md`` of the page whose parts are written, in docs/evidence/ or else in
+        docs/. None: the parts are only shown.
     doc
         What ``--help`` shows.
     parts
@@ -77,10 +80,16 @@ def write_parts(
         text = "\n".join([*lines, "", stamp(others.cores(), timed=name not in untimed)])
         print(f"== {name}\n\n{text}\n", flush=True)
         if page is not None and not asked.dry:
-            path = DOCS / f"{page}.md"
+            path = page_path(page)
             whole = filled(path.read_text(encoding="utf-8"), {name: text})
             with whole_file(path) as file:
                 file.write_text(whole, encoding="utf-8")
+
+
+def page_path(name: str) -> Path:
+    """Return the path of a page: in docs/evidence/, or else in docs/."""
+    evidence = EVIDENCE / f"{name}.md"
+    return evidence if evidence.is_file() else DOCS / f"{name}.md"
 
 
 def own_domain() -> str:

@@ -1,7 +1,7 @@
 """The benchmark's plots: logarithmic axes with units, each line with its name.
 
-``python -m benchmarks.plots docs/benchmark/trials.csv`` draws speed against error once more, from
-the trials of an earlier measurement.
+``python -m benchmarks.plots docs/evidence/benchmark/trials.csv`` draws speed against error once
+more, from the trials of an earlier measurement.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
     python -m benchmarks.random_scenes                  # about 40 minutes
     python -m benchmarks.random_scenes narrow --scenes 100
 
-writes the parts of docs/random_scenes.md.  The tests assert the same of the first 200 benches, and
-of some of the wider ones to 30 ms.
+writes the parts of docs/evidence/random_scenes.md.  The tests assert the same of the first 200
+benches, and of some of the wider ones to 30 ms.
 """
 
 from __future__ import annotations

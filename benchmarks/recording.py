@@ -1,4 +1,4 @@
-"""Recording, replay and identification; writes the parts of docs/node_suite.md.
+"""Recording, replay and identification; writes the parts of docs/evidence/node_suite.md.
 
 python -m benchmarks.recording                  # all parts, about six minutes
 python -m benchmarks.recording write live

@@ -3,8 +3,8 @@
     make reproduction                                           # a minute or two
     python -m benchmarks.reproduction --only figure_6 --out runs
 
-Runs the paper's numerical section and its experiments, and writes docs/reproduction.md and the
-figures in docs/reproduction/.
+Runs the paper's numerical section and its experiments, and writes
+docs/evidence/reproduction.md and the figures in docs/evidence/reproduction/.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from benchmarks.pages import DOCS
+from benchmarks.pages import EVIDENCE
 from benchmarks.paper import CASES, OPEN, Agreement, Claim, Evidence, claims
 from benchmarks.paper_figures import FIGURES
 from capture_sim.base.files import whole_file
@@ -33,7 +33,9 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--only", choices=FIGURES, help="draw one figure, and write no page")
-    parser.add_argument("--out", type=Path, default=DOCS, help="folder to write (default: docs)")
+    parser.add_argument(
+        "--out", type=Path, default=EVIDENCE, help="folder to write (default: docs/evidence)"
+    )
     parser.add_argument("--workers", type=int, help="processes (default: one per core)")
     options = parser.parse_args()
     folder = options.out / NAME

@@ -3,7 +3,7 @@
     python -m benchmarks.rig_flows                        # about 3 minutes
 
 Starts the real nodes and the bench of examples/, each in a process of its own; twelve goals of
-launcher/run_trial.  Writes the table in docs/node_suite.md.
+launcher/run_trial.  Writes the table in docs/evidence/node_suite.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Speed against error on this machine, compared with other integrators; writes docs/benchmark.md.
+"""Speed against error, compared with other integrators; writes docs/evidence/benchmark.md.
 
     make benchmark
 
@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks import costs, programs
 from benchmarks.machine import QUIET, OthersAtWork, is_busy
 from benchmarks.page import FOLDER, TRIALS, Results, measured, write_trials
-from benchmarks.pages import DOCS, filled
+from benchmarks.pages import EVIDENCE, filled
 from benchmarks.plots import save_all
 from benchmarks.trial import Progress
 from capture_sim.dynamics.compilation import compile_kernels
@@ -70,7 +70,7 @@ def measure(quick: bool, progress: Progress) -> Results:
 def save(results: Results, folder: Path) -> None:
     """Write page, trials and pictures into a folder."""
     (folder / FOLDER).mkdir(parents=True, exist_ok=True)
-    page = filled((DOCS / "benchmark.md").read_text(encoding="utf-8"), measured(results))
+    page = filled((EVIDENCE / "benchmark.md").read_text(encoding="utf-8"), measured(results))
     (folder / "benchmark.md").write_text(page, encoding="utf-8")
     write_trials(results, folder / FOLDER / TRIALS)
     save_all(results, folder / FOLDER)
@@ -81,7 +81,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a reduced run")
     parser.add_argument("--dry", action="store_true", help="only show what was measured")
-    parser.add_argument("--out", type=Path, default=DOCS, help="folder of the page (default: docs)")
+    parser.add_argument(
+        "--out", type=Path, default=EVIDENCE, help="folder of the page (default: docs/evidence)"
+    )
     options = parser.parse_args(arguments)
     results = measure(options.quick, Progress())
     print("\n\n".join(measured(results).values()))

@@ -2,8 +2,8 @@
 
     python -m benchmarks.sweep [speed trust verdicts before] [--runs 10000]
 
-writes the parts of docs/random_scenes.md, in six minutes.  ``before`` needs ``--before FOLDER``,
-the work tree of an earlier state, e.g. of ``git worktree add``.
+writes the parts of docs/evidence/random_scenes.md, in six minutes.  ``before`` needs
+``--before FOLDER``, the work tree of an earlier state, e.g. of ``git worktree add``.
 """
 
 from __future__ import annotations

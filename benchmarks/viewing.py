@@ -3,8 +3,8 @@
     python -m benchmarks.viewing             # about three minutes
     python -m benchmarks.viewing live --seconds 6
 
-Writes the parts of docs/node_suite.md.  The live part runs the real nodes at real time, with and
-without the viewer, and reads from the operating system what their processes took.
+Writes the parts of docs/evidence/node_suite.md.  The live part runs the real nodes at real time,
+with and without the viewer, and reads from the operating system what their processes took.
 """
 
 from __future__ import annotations

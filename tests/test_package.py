@@ -79,7 +79,7 @@ def test_help_of_a_node_is_for_a_user():
     for node in nodes:
         text = ast.get_docstring(node)
         assert not re.search(r":\w+:`|capture_sim\.", text), node.name
-        for page in re.findall(r"docs/\w+\.md", text):
+        for page in re.findall(r"docs/[\w/]+\.md", text):
             assert (ROOT / page).is_file(), page
 
 

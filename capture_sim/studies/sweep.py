@@ -45,7 +45,7 @@ FAILED = "failed"
 _CHUNK = 20
 #: Longest time for which a worker keeps finished rows to itself, s, where a journal wants them.
 _MOMENT = 2.0
-#: Relative tolerance of the runs of a sweep; see docs/random_scenes.md.
+#: Relative tolerance of the runs of a sweep; see docs/evidence/random_scenes.md.
 RTOL = 1e-6
 
 #: Results of a run that are no loads, and their units.

@@ -38,7 +38,7 @@ def runs():
 
 @pytest.mark.parametrize("name", RUNS)
 def test_noise_loss_and_jitter_change_no_verdict(runs, name):
-    """docs/detection_checked.md has 340 replays of each run; CAPTURE_SIM_CASES: some."""
+    """docs/evidence/detection_checked.md has 340 replays of each run; CAPTURE_SIM_CASES: some."""
     result = runs[name]
     for seed in range(cases(few=1, all=3)):
         rng = np.random.default_rng([seed, 1])

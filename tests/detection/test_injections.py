@@ -1,6 +1,6 @@
 """Wrong, late and quantised poses injected into the trials of a bench: no verdict may change.
 
-benchmarks/detection.py has the large version, and docs/detection_checked.md its figures.
+benchmarks/detection.py has the large version, and docs/evidence/detection_checked.md its figures.
 """
 
 import dataclasses

@@ -22,8 +22,10 @@ from browser import chromium_command, console_lines, needs_chromium
 import capture_sim
 
 ROOT = Path(__file__).resolve().parents[2]
-STEMS = sorted(path.stem for path in (ROOT / "docs").glob("*.md"))
-SOURCES = [ROOT / "README.md", *(ROOT / "docs" / f"{stem}.md" for stem in STEMS)]
+DOCS = ROOT / "docs"
+#: Paths of the pages below docs/, without their ending
+STEMS = sorted(str(path.relative_to(DOCS).with_suffix("")) for path in DOCS.rglob("*.md"))
+SOURCES = [ROOT / "README.md", *(DOCS / f"{stem}.md" for stem in STEMS)]
 #: Paths of the pages on the site, the first one from README
 ADDRESSES = ["/", *(f"/{stem}/" for stem in STEMS)]
 #: Widths of the browser's window: a phone, and two screens, px
@@ -101,7 +103,7 @@ def test_steps_after_a_block_keep_their_numbers(site):
 
 
 def test_the_python_page_has_every_public_name_in_the_order_one_meets_it(site):
-    source = (ROOT / "docs" / "api.md").read_text()
+    source = (DOCS / "api.md").read_text()
     named = re.findall(r"^::: capture_sim\.[\w.]*\b(\w+)$", source, re.MULTILINE)
     assert named[:4] == ["simulate", "read_run", "Run", "plot"]
     assert {name for name in dir(capture_sim) if name[0] != "_"} <= set(named)
@@ -112,13 +114,13 @@ def test_the_python_page_has_every_public_name_in_the_order_one_meets_it(site):
 
 @pytest.fixture(scope="module")
 def hooks():
-    return SimpleNamespace(**runpy.run_path(str(ROOT / "docs" / "hooks.py")))
+    return SimpleNamespace(**runpy.run_path(str(DOCS / "hooks.py")))
 
 
 def test_formulas_are_typeset_when_the_site_is_built(site):
     """As MathML, the matrix with its rows and columns; showing them fetches nothing."""
     page = (site / "model" / "index.html").read_text()
-    source = (ROOT / "docs" / "model.md").read_text()
+    source = (DOCS / "model.md").read_text()
     written = source.count("```math") + len(re.findall(r"\$[^$\n]+\$", source))
     assert len(re.findall("<math", page)) == written > 40
     [matrix, *_] = re.findall("<mtable.*?</mtable>", page, re.DOTALL)

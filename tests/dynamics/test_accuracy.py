@@ -27,8 +27,8 @@ from capture_sim import load_scene, scene_names, simulate
 SCENES = cases(few=80, all=80)
 #: m: what the default promises, up to 0.35 s after the first touch (measured: 2e-8).
 PROMISED = 1e-6
-#: The check, a run at rtol / 100, tells the error to this factor (docs/random_scenes.md), down
-#: to the floor below.
+#: The check, a run at rtol / 100, tells the error to this factor, down to the floor below
+#: (docs/evidence/random_scenes.md).
 TRUST = 20.0
 #: m: a vehicle on its supports that creeps about the limit of rest may stop or not; each time
 #: up to 5 v_eps of its speed are in doubt.

@@ -138,7 +138,7 @@ def test_maximal_coordinates_agree(name):
 
 @pytest.mark.parametrize("number", cases(few=[1, 4, 5], all=list(LAWS)))
 def test_maximal_coordinates_agree_on_random_benches(number):
-    """Other masses, cones, spins and laws; docs/random_scenes.md has more, and to 1 s."""
+    """Other masses, cones, spins and laws; docs/evidence/random_scenes.md has more, and to 1 s."""
     scene = wide_scenes(number + 1)[number]
     assert f"{scene.contact.law} {scene.friction.law}" == LAWS[number]
     touch = first_touch(scene)

@@ -1,6 +1,6 @@
 """Launches watched by the streams of a bench with real sensors and a busy node, from seeds.
 
-`CAPTURE_SIM_CASES=200` repeats the study of docs/node_suite.md.
+`CAPTURE_SIM_CASES=200` repeats the study of docs/evidence/node_suite.md.
 """
 
 import math

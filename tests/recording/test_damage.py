@@ -25,7 +25,7 @@ from capture_sim.recording.read import read_run
 from capture_sim.run.summary_table import table as table_of
 from capture_sim.viewing.source import headline
 
-#: Damaged files of each kind; docs/node_suite.md has 50.
+#: Damaged files of each kind; docs/evidence/node_suite.md has 50.
 CASES = cases(few=4, all=10)
 
 

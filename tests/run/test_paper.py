@@ -89,7 +89,7 @@ def test_the_bench_without_latches_runs_to_its_end(name):
 
 
 def test_case_3_without_memory_of_the_damping_rebounds_after_the_end_of_its_run():
-    """docs/reproduction.md: at 3 s the tip is less than 5 mm beyond its closest approach."""
+    """At 3 s the tip is less than 5 mm beyond its closest approach (evidence/reproduction.md)."""
     without_memory = load_scene("paper_case_3", ["contact.min_approach_speed=0.1"])
     at_end, later = simulate(without_memory), simulate(without_memory, t_end=4.0)
     beyond = at_end.samples["tip_distance"][-1] - at_end.loads["nearest_distance"]

@@ -1,6 +1,6 @@
 """Trials on disturbed sensors: detector and trial are fed with one stream, on a simulated clock.
 
-`CAPTURE_SIM_CASES=100` repeats the study of docs/node_suite.md.
+`CAPTURE_SIM_CASES=100` repeats the study of docs/evidence/node_suite.md.
 """
 
 import itertools

@@ -50,7 +50,7 @@ def found(rrd):
 
 
 def test_rrd_holds_the_numbers_of_every_run(rrd, found, runs):
-    # docs/node_suite.md: 500 bytes a sample
+    # docs/evidence/node_suite.md: 500 bytes a sample
     assert rrd.stat().st_size < 500 * sum(len(run.samples) for run in runs)
     for run in runs:
         name, samples = run.scene.name, run.samples

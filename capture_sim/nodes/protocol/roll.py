@@ -178,7 +178,7 @@ class Roll:
 
         Such a node stands still, or it has forgotten this one in a stop longer than the lease
         (config/fast_dds.xml) and asks in vain for endpoints that this one takes for acknowledged.
-        Fast DDS does not mend that; docs/node_suite.md shows the packets.
+        Fast DDS does not mend that; docs/evidence/node_suite.md shows the packets.
         """
         if self._own is not None:
             self._node.send(ROLL, self._own)
