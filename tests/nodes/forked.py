@@ -3,6 +3,10 @@
 That spares each 1 to 1.5 s of processor time.  It is a process of its own all the same, with DDS,
 signals, memory and an end of its own.  How nodes load from nothing is for the tests that start
 suites, replays and commands.
+
+rclpy's wheels load LTTng-UST, whose two threads a fork does not inherit.  At the fork's exit it
+cancels them all the same: a segmentation fault where their stacks have been unmapped (once in about
+40 forks).  So it is told of each fork, as its manual wants, and starts its threads again.
 """
 
 import ctypes
@@ -27,6 +31,7 @@ from capture_sim.messages.definitions import typestore
 NODES = ("simulator", "launcher", "capture_detector", "recorder", "player", "viewer")
 NODES += ("contact_rig", "loop_simulator")
 PR_SET_PDEATHSIG = 1  # of Linux
+SIGSET_SIZE = 128  # bytes of a sigset_t
 ROOT = Path(__file__).parents[2]
 
 
@@ -93,6 +98,26 @@ def _load():
     gc.freeze()
 
 
+@cache
+def _tracing():
+    """Return the library LTTng-UST that is loaded; None if none is, as without wheels."""
+    lines = Path("/proc/self/maps").read_text(encoding="utf-8").splitlines()
+    paths = {line.split()[-1] for line in lines if "/liblttng-ust-" in line}
+    libraries = [ctypes.CDLL(path) for path in sorted(paths)]
+    return next((each for each in libraries if hasattr(each, "ust_before_fork")), None)
+
+
+def _fork():
+    """Fork as :func:`os.fork` does, LTTng-UST too."""
+    tracing, mask = _tracing(), ctypes.create_string_buffer(SIGSET_SIZE)
+    if tracing is None:
+        return os.fork()
+    tracing.ust_before_fork(mask)
+    pid = os.fork()
+    (tracing.ust_after_fork_parent if pid else tracing.ust_after_fork_child)(mask)
+    return pid
+
+
 def _serve(client):
     """Fork on demand; return the program of a fork, or an empty one where no more is wanted."""
     with client:
@@ -102,7 +127,7 @@ def _serve(client):
                 return ""
             match json.loads(data):
                 case [program, arguments, domain, folder]:
-                    pid = os.fork()
+                    pid = _fork()
                     if pid == 0:
                         # at the end of the process that is forked, however the tests end
                         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)

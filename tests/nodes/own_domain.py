@@ -20,7 +20,7 @@ def own_domain():
     comes or goes (see capture_sim.base.interrupts.end_within), and this process's is destroyed
     here.
     """
-    outer = os.environ["ROS_DOMAIN_ID"]
+    outer = os.environ.get("ROS_DOMAIN_ID", "0")
     number, lock = claim_domain()
     os.environ["ROS_DOMAIN_ID"] = str(number)
     _open.append(None)

@@ -28,7 +28,7 @@ from tests.nodes.bench_processes import (
     statuses,
     wait_until,
 )
-from tests.nodes.forked import Forked
+from tests.nodes.forked import Forked, _tracing
 from tests.nodes.own_domain import own_domain
 
 
@@ -312,3 +312,15 @@ def test_suite_ends_when_a_node_refuses(tmp_path, capfd):
     (tmp_path / "out").write_text("not a folder")
     assert run_suite([capture_sim.load_scene("tilt_0")], tmp_path / "out") == (2, [])
     assert "must be a folder" in capfd.readouterr().out
+
+
+# the helper of these tests
+
+
+def test_a_fork_has_the_threads_that_its_exit_cancels():
+    """Those of LTTng-UST, which rclpy loads: a fork without them ends with SIGSEGV now and then."""
+    program = "import os\nprint(len(os.listdir('/proc/self/task')), 'threads')"
+    fork = Started(Forked(program, []))
+    assert fork.status() == 0, fork.text
+    if _tracing() is not None:  # a system's ROS may be built without it
+        assert "3 threads" in fork.text
