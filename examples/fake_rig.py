@@ -67,6 +67,7 @@ class FakeRig(Node):
         names, positions = ["buffer_hinge", "buffer_slide"], [0.0, -self.chaser.stroke]
         self.send(self.encoders, JointState(name=names, position=positions))
         wrench = WrenchStamped()
+        wrench.header.frame_id = "target/cone"  # the axes in which the cell measures
         wrench.wrench.force.x = self.chaser.force
         self.send(self.cell, wrench)
 
