@@ -8,12 +8,15 @@ import numpy as np
 
 from capture_sim.plausibility.axes import FORCE_FRAMES, frame_of
 from capture_sim.plausibility.momentum import force_ratio
-from capture_sim.plausibility.motion import Motion
+from capture_sim.plausibility.motion import MIN_MESSAGES, N_SMOOTH, Motion
 from capture_sim.plausibility.rules import Grade, Said, rule
-from capture_sim.plausibility.signals import baseline, noise
+from capture_sim.plausibility.signals import baseline, noise, smooth
 
 #: Drift of the sensor's zero that is reported, N and N/s.
 _DRIFT, _DRIFT_RATE = 1.0, 0.1
+#: Before a release: largest zero of the sensor, N, largest force besides it, N, and the latest
+#: time that is looked at, s.
+MAX_ZERO, MAX_REST_FORCE, REST_TIME = 50.0, 3.0, 0.5
 #: Equal largest values that show saturation: in a row, and more than in other rows, or at times.
 _SATURATED, _TIMES = 4, 4
 #: A force that begins while the tip is further than this from the walls has another cause, m.
@@ -121,6 +124,42 @@ def force_drifts(motion: Motion) -> Iterator[Said]:
             force.topic,
             f"zero drifts by {np.hypot(*moved):.3g} N in {duration:.3g} s before the contact: must "
             "be below 1 N; touches are found without it, forces contain it; let the cell warm up",
+        )
+
+
+@rule(
+    "force_at_rest",
+    Grade.REFUSED,
+    compares=f"before a release only: force in the last {REST_TIME:g} s with 0, and its running "
+    "median with its zero, which is its median",
+    threshold=f"zero > {MAX_ZERO:g} N; or off the zero by > {MAX_REST_FORCE:g} N and 3 standard "
+    "deviations",
+    reason="5 kg of a cone and its plate weigh 49 N; noise has a running median of a third of it, "
+    "and a warm-up drifts by 0.02 N meanwhile; a hand or a cable at the cone is more",
+)
+def force_at_rest(motion: Motion) -> Iterator[Said]:
+    """A cone that something pushes, or a load cell that was not tared, before a release."""
+    force = motion.measured.force
+    if force is None or not motion.measured.is_before_release:
+        return
+    latest = force.logged > force.logged.max(initial=0.0) - REST_TIME
+    values = force.force[force.is_measured & latest]
+    if len(values) < MIN_MESSAGES:
+        return
+    zero = np.median(values, axis=0)
+    size = float(np.linalg.norm(zero))
+    if size > MAX_ZERO:
+        yield Said(
+            force.topic,
+            f"{size:.4g} N at rest: must be at most {MAX_ZERO:g} N before a release; tare the cell",
+        )
+    off = np.column_stack([smooth(column, N_SMOOTH) for column in (values - zero).T])
+    pushed = float(np.linalg.norm(off, axis=1).max())
+    if pushed > max(MAX_REST_FORCE, 3.0 * max(noise(column) for column in values.T)):
+        yield Said(
+            force.topic,
+            f"changes by {pushed:.3g} N at rest: must be at most {MAX_REST_FORCE:g} N before a "
+            "release; keep hands and cables off the cone",
         )
 
 

@@ -90,8 +90,8 @@ class LiveMeasurements:
         while kept.rows[0][1] < arrival - self._span:
             kept.rows.popleft()
 
-    def measured(self) -> Measured:
-        """Return the measurements that are kept."""
+    def measured(self, *, is_before_release: bool = False) -> Measured:
+        """Return the measurements that are kept; see :class:`Measured`."""
         arrivals = [kept.rows[0][1] for kept in self._kept.values() if kept.rows]
         origin = min(arrivals, default=0)
 
@@ -118,4 +118,6 @@ class LiveMeasurements:
         if (found := channel("force")) is not None:
             kept, t, arrival, values = found
             force = Forces(kept.topic, t, arrival, tuple(kept.frame_ids), values)
-        return Measured(poses("chaser"), poses("target"), buffer, force, origin=origin)
+        return Measured(
+            poses("chaser"), poses("target"), buffer, force, origin, is_before_release
+        )

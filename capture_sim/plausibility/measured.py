@@ -116,6 +116,7 @@ class Measured:
     """One topic of each source of a bench; None for a source that nothing was received of.
 
     All times count from one origin, ns, so that stamps of a wall clock keep their digits.
+    ``is_before_release``: nothing has been let go, so that nothing moves and nothing touches.
     """
 
     chaser: Poses | None = None
@@ -123,6 +124,7 @@ class Measured:
     buffer: Deflections | None = None
     force: Forces | None = None
     origin: int = 0  # ns, of every time
+    is_before_release: bool = False
 
     @property
     def channels(self) -> list[Channel]:

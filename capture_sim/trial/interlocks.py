@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
@@ -223,8 +223,10 @@ class Interlocks:
         self.machine_clock = math.nan
         self.held = HeldWatch(limits.stop_timeout)
         self.waived = frozenset(waived)
-        #: Lines of the broken rules of plausibility by which nothing may be let go.
+        #: Lines of the broken rules of plausibility by which nothing may be let go,
         self.implausible: tuple[str, ...] = ()
+        #: ... and what looks for them anew, for the moment of the release.
+        self.look_for_implausible: Callable[[], None] = lambda: None
         self._scene: Scene | None = None  # of the trial
         self._last: dict[str, tuple[float, ...]] = {}  # the latest measurement, by topic
         self._standstills = {name: Standstill() for name in topics.get(Source.CHASER, ())}

@@ -364,6 +364,9 @@ class Trial:
         if not self._is_announced:
             self._is_announced = True
             return [TrialStep.ANNOUNCE]
+        self._interlocks.look_for_implausible()  # the last look may be half a second old
+        if self._refusal(now):
+            return []
         self._enter(TrialPhase.APPROACH, now)
         self.is_released, self.released = True, now
         self._interlocks.mark()

@@ -8,6 +8,9 @@ import pytest
 
 import capture_sim
 from capture_sim.plausibility.axes import FORCE_FRAMES
+from capture_sim.plausibility.check import check
+from capture_sim.plausibility.force import MAX_REST_FORCE, MAX_ZERO, REST_TIME
+from capture_sim.plausibility.live import LiveMeasurements
 from capture_sim.recording.read import read_run
 from capture_sim.run.touches import first_above
 
@@ -100,3 +103,51 @@ def test_a_force_where_poses_allow_no_contact_does_not_align(scene, tmp_path):
     assert "force_without_contact" in {doubt.rule.name for doubt in run.doubts}
     assert run.first_contact.source == "joint_states"
     assert run.first_contact.t == pytest.approx(dirty.TRUE.first_contact, abs=0.011)
+
+
+# before a release
+
+
+def broken_at_rest(force_at, *, rate=100.0, noise=0.0, is_before_release=True, waived=()):
+    """Return the lines about a load cell that read ``force_at(t)``, N, in the last 2 s."""
+    live, source = LiveMeasurements(), np.random.default_rng(1)
+    for k in range(round(2.0 * rate)):
+        t = (k - 2.0 * rate) / rate + 2.0
+        force = np.asarray(force_at(t)) + noise * source.standard_normal(3)
+        live.add_force("load_cell/wrench", round(1e9 * t), round(1e9 * t), force, "target/cone")
+    measured = live.measured(is_before_release=is_before_release)
+    doubts = check(measured, waived=waived)
+    return [doubt.line for doubt in doubts if doubt.rule.name == "force_at_rest"]
+
+
+@pytest.mark.parametrize("rate", [50.0, 1000.0])
+def test_the_zero_of_a_load_cell_at_its_bound(rate):
+    share = 1.0 / np.sqrt(3.0)
+    assert broken_at_rest(lambda t: 3 * [share * (MAX_ZERO - 0.01)], rate=rate) == []
+    [line] = broken_at_rest(lambda t: 3 * [share * (MAX_ZERO + 0.01)], rate=rate)
+    assert line.startswith("load_cell/wrench: refused (force_at_rest): 50.01 N at rest: must be")
+
+
+@pytest.mark.parametrize("rate", [50.0, 1000.0])
+def test_a_hand_at_the_cone_at_its_bound(rate):
+    """It comes 0.2 s before the release, on a cell with an offset."""
+    for push in (MAX_REST_FORCE - 0.01, -MAX_REST_FORCE - 0.01):
+        lines = broken_at_rest(lambda t, x=push: (10.0, x * (t > 1.8), 0.0), rate=rate)
+        assert len(lines) == (abs(push) > MAX_REST_FORCE), lines
+    assert "changes by 3.01 N at rest: must be at most 3 N" in lines[0]
+
+
+def test_what_is_no_hand_at_the_cone():
+    assert broken_at_rest(lambda t: (2.0 + 0.05 * t, 0.0, 0.0), noise=0.5) == []  # a hard case
+    assert broken_at_rest(lambda t: (0.0, 0.0, 0.0), noise=3.0) == []
+    assert broken_at_rest(lambda t: (40.0 * (t < 2.0 - REST_TIME - 0.02), 0.0, 0.0)) == []  # over
+    assert broken_at_rest(lambda t: (20.0 * (abs(t - 1.8) < 0.015), 0.0, 0.0)) == []  # a spike
+
+
+def test_a_pushed_cone_can_be_waived_and_is_no_doubt_of_a_recording():
+    def pushed(t):
+        return 60.0 * (t > 1.7), 0.0, 0.0
+
+    assert len(broken_at_rest(pushed)) == 2
+    assert broken_at_rest(pushed, waived=["force_at_rest"]) == []
+    assert broken_at_rest(pushed, is_before_release=False) == []

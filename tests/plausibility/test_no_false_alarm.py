@@ -41,15 +41,20 @@ def live_of(measured, until, span=2.0):
     for k in range(buffer.count):
         state = buffer.stroke[k], buffer.torsion[k]
         rows.append((buffer.arrival[k], buffer.t[k], "buffer", buffer.topic, state))
+    force = measured.force
+    for k in range(force.count):
+        rows.append((force.arrival[k], force.t[k], "force", force.topic, force.force[k]))
     for arrival, t, source, topic, values in sorted(rows, key=lambda row: row[0]):
         if arrival > until:
             break
         times = round(t * ns), round(arrival * ns)
         if source == "buffer":
             live.add_buffer(topic, *times, *values)
+        elif source == "force":
+            live.add_force(topic, *times, values, force.frame_ids[0])
         else:
             live.add_pose(source, topic, *times, *values)
-    return live.measured()
+    return live.measured(is_before_release=True)
 
 
 @pytest.mark.parametrize("seed", range(4))

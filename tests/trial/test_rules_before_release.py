@@ -91,6 +91,23 @@ def test_broken_rules_of_plausibility_refuse():
     assert not trial.is_released
 
 
+def test_rules_of_plausibility_are_looked_at_in_the_moment_of_the_release():
+    rig = Rig()
+    looks = []
+
+    def look():
+        looks.append(rig.trial.is_released)
+        rig.interlocks.implausible = ("load_cell/wrench: a hand",) if len(looks) == 1 else ()
+
+    rig.interlocks.look_for_implausible = look
+    rig.run(0.2)
+    assert (looks, rig.trial.is_released) == ([False], False)
+    assert rig.trial.waiting_for(rig.now) == "load_cell/wrench: a hand"
+    rig.interlocks.implausible = ()  # as a later look finds
+    trial = rig.run(0.02)
+    assert (looks, trial.is_released) == ([False, False], True)
+
+
 def test_a_verdict_by_doubted_measurements_is_none():
     rig = Rig()
     rig.run(CONTACT + 0.5)

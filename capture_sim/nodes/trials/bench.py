@@ -95,6 +95,7 @@ class TrialBench:
         self.interlocks = Interlocks(limits, topics, HoldReaders(driver), publishers, waived)
         self._hold: HoldOutput | None = None
         if has_actuator:
+            self.interlocks.look_for_implausible = self._check_plausibility
             # transient local, so that a driver which starts late holds from its first message on
             kind = message_class(BOOL)
             output = node.create_publisher(kind, HOLD, TRANSIENT_LOCAL)

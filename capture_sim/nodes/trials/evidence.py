@@ -60,7 +60,7 @@ class Evidence:
 
     def before_release(self, scene: Scene | None) -> tuple[Doubt, ...]:
         """Return the doubts about the last seconds."""
-        return check(self._before.measured(), scene, self._waived)
+        return check(self._before.measured(is_before_release=True), scene, self._waived)
 
     def of_trial(self, scene: Scene) -> tuple[Doubt, ...]:
         """Return the doubts about the trial since its release."""
