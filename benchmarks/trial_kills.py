@@ -61,7 +61,7 @@ def one(start, session: Session, source: random.Random, k: int) -> dict[str, obj
     """Kill one node, then demand a trial; return what was seen."""
     role = source.choice([*ROLES, *ROLES, "simulator"])
     moment = "before" if role == "simulator" else source.choice(list(MOMENTS))
-    said, goal = "no trial", None
+    said, goal, times = "no trial", None, {}
     if moment != "before":
         goal = Goal(session.actions, name=f"killed {k}")
         await_phase(goal, MOMENTS[moment])
@@ -75,16 +75,27 @@ def one(start, session: Session, source: random.Random, k: int) -> dict[str, obj
             if not await_goal(goal, 90.0):
                 said = "no result"
             else:
+                times["ended"] = round(time.monotonic() - killed, 1)
                 _, result = goal.result()
                 named = any(role in text for text in [*result.problems, result.reason])
                 whole = result.complete and result.verdict and not result.problems
                 said = "names it" if named else "whole" if whole else f"other: {result}"
         session.restart(role)
+    times["started"] = round(time.monotonic() - killed, 1)
     goal = Goal(session.actions, name=f"next {k}")
     await_phase(goal, 1)
     waited = time.monotonic() - killed
+    reasons = Counter(feedback.waiting_for for feedback in goal.feedback if feedback.waiting_for)
+    times["waits"] = {text: round(0.1 * n, 1) for text, n in reasons.items()}  # feedback at 10 Hz
     if not await_goal(goal, 120.0):
-        return {"role": role, "moment": moment, "said": said, "next": "no result", "waited": waited}
+        return {
+            "role": role,
+            "moment": moment,
+            "said": said,
+            "next": "no result",
+            "waited": waited,
+            **times,
+        }
     status, result = goal.result()
     whole = status == SUCCEEDED and result.complete and result.verdict == "captured"
     after = "whole" if whole else f"{result.verdict} {result.reason} {list(result.problems)}"
@@ -92,7 +103,7 @@ def one(start, session: Session, source: random.Random, k: int) -> dict[str, obj
         time.sleep(0.5)
     if not session.holds[-1][1]:
         after = "NOT HELD"
-    return {"role": role, "moment": moment, "said": said, "next": after, "waited": waited}
+    return {"role": role, "moment": moment, "said": said, "next": after, "waited": waited, **times}
 
 
 def main() -> None:

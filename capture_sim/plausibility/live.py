@@ -118,6 +118,4 @@ class LiveMeasurements:
         if (found := channel("force")) is not None:
             kept, t, arrival, values = found
             force = Forces(kept.topic, t, arrival, tuple(kept.frame_ids), values)
-        return Measured(
-            poses("chaser"), poses("target"), buffer, force, origin, is_before_release
-        )
+        return Measured(poses("chaser"), poses("target"), buffer, force, origin, is_before_release)
