@@ -1,4 +1,4 @@
-"""Writes what pages say of scenes and messages, from the code: docs/scenes.md, part of nodes.md.
+"""Writes what pages say of scenes and messages, from the code: docs/scenes.md, parts of others.
 
     python -m tools.reference docs
 
@@ -200,12 +200,12 @@ def message_fields() -> str:
 
 
 def nodes_page(page: str) -> str:
-    """Return docs/nodes.md with the fields of the messages as they are now."""
+    """Return docs/reference_nodes.md with the fields of the messages as they are now."""
     begin, end = "<!-- generated: fields -->", "<!-- end of generated -->"
     head, _, rest = page.partition(begin)
     _, found, tail = rest.partition(end)
     if not found:
-        raise SystemExit("nodes.md: no part for the fields of messages")
+        raise SystemExit("reference_nodes.md: no part for the fields of messages")
     return f"{head}{begin}\n\n{message_fields()}\n\n{end}{tail}"
 
 
@@ -233,7 +233,7 @@ def main() -> None:
     parser.add_argument("docs", type=Path, help="folder of the pages")
     parser.add_argument("--pictures", action="store_true", help="draw the packaged scenes, too")
     asked = parser.parse_args()
-    nodes = asked.docs / "nodes.md"
+    nodes = asked.docs / "reference_nodes.md"
     texts = {
         nodes: nodes_page(nodes.read_text(encoding="utf-8")),
         asked.docs / "scenes.md": scenes_page(),
