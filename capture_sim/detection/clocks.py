@@ -9,11 +9,10 @@ from __future__ import annotations
 from statistics import median
 
 from capture_sim.detection.measurements import Source
+from capture_sim.plausibility.clocks import MAX_OFFSET, WARN_OFFSET
 
-#: An offset beyond this is reported, s.  Latencies of drivers are up to about 0.03 s.
-WARN_OFFSET = 0.05
-#: Beyond this there is no verdict, s.
-MAX_OFFSET = 0.2
+#: The bounds are those of the rules of plausibility.
+__all__ = ["MAX_OFFSET", "WARN_OFFSET", "ClockOffsets"]
 #: Smallest number of messages of each source for an offset.
 _MIN_ARRIVALS = 5
 #: Stamps that advance at another rate than arrivals are a replay's: they show no clock offset.

@@ -23,8 +23,13 @@ _CONTACT_OFFSET = 0.08
 _DRIFT, _DRIFTED = 2e-4, 2e-3
 #: Blocks of a recording for the drift of a clock.
 _BLOCKS = 10
-#: Stamps that advance at another rate than arrivals are a replay's: they show no clock offset.
+#: Stamps that advance with arrivals are a bench's: then no message comes too early.
 _LIVE_RATES = (0.8, 1.25)
+#: A bench's stamps may advance at another rate, as tests and paced replays have it: beyond this
+#: rate arrivals say nothing.
+_MOST_RATE = 10.0
+#: Messages before and after a step of a clock that show it.
+_N_STEPPED = 7
 #: Share of repeated stamps that is reported, and that leaves no series.
 _FEW, _MOST = 0.02, 0.5
 #: A clock since boot is below this, s; a wall clock above.
@@ -39,28 +44,91 @@ class _Clock(NamedTuple):
     stamp: float  # s, of the first message
 
 
+def _rate_of(channel: Channel) -> float:
+    """Return by how much stamps advance in a second of arrivals; one step does not count."""
+    lag = max(channel.count // 4, 1)
+    passed = channel.t[lag:] - channel.t[:-lag]
+    waited = channel.arrival[lag:] - channel.arrival[:-lag]
+    is_apart = waited > 0.0
+    return float(np.median(passed[is_apart] / waited[is_apart])) if is_apart.any() else 0.0
+
+
+def _timed(motion: Motion) -> list[tuple[Channel, float]]:
+    """Return the sources whose clock can be compared, each with its rate, see _rate_of."""
+    return [
+        (channel, motion.once(f"rate {channel.topic}", partial(_rate_of, channel)))
+        for channel in motion.measured.channels
+        if channel.count >= MIN_MESSAGES and channel.arrival.size and not _is_unset(motion, channel)
+    ]
+
+
 def _clocks(motion: Motion) -> list[_Clock]:
+    """Return the clocks that run as arrivals do."""
     found = []
-    for channel in motion.measured.channels:
-        if channel.count < MIN_MESSAGES or not channel.arrival.size or _is_unset(motion, channel):
-            continue
-        passed, waited = (float(x.max() - x.min()) for x in (channel.t, channel.arrival))
-        if not _LIVE_RATES[0] * waited <= passed <= _LIVE_RATES[1] * waited:
-            continue
-        offset = float(np.percentile(channel.t - channel.arrival, 99.0))
-        first = float(channel.t[0]) + motion.measured.origin / 1e9
-        found.append(_Clock(channel, offset, first))
+    for channel, rate in _timed(motion):
+        if _LIVE_RATES[0] <= rate <= _LIVE_RATES[1]:
+            offset = float(np.percentile(channel.t - channel.arrival, 99.0))
+            first = float(channel.t[0]) + motion.measured.origin / 1e9
+            found.append(_Clock(channel, offset, first))
     return found
 
 
 def _offsets(motion: Motion) -> Iterator[tuple[_Clock, float]]:
-    """Yield each clock with its offset from the reference, s: from the one nearest to arrivals."""
+    """Yield each clock with its offset from the reference, s.
+
+    That is one with which most others agree, of these the one nearest to arrivals.
+    """
     clocks = _clocks(motion)
     if len(clocks) < 2:
+        yield from _offsets_at_a_rate(motion)
         return
-    reference = min(clocks, key=lambda clock: abs(clock.offset))
+
+    def rank(clock: _Clock) -> tuple[int, float]:
+        like = sum(abs(other.offset - clock.offset) <= MAX_OFFSET for other in clocks)
+        return -like, abs(clock.offset)
+
+    reference = min(clocks, key=rank)
     for clock in clocks:
         yield clock, clock.offset - reference.offset
+
+
+def _offsets_at_a_rate(motion: Motion) -> Iterator[tuple[_Clock, float]]:
+    """Yield clocks of a bench that is faster or slower than time, with their offsets, s.
+
+    The latest stamp of one source is compared with that of another in the same moment.  What
+    arrives in batches scatters; offsets are reduced by that.
+    """
+    timed = [(c, rate) for c, rate in _timed(motion) if 1.0 / _MOST_RATE <= rate <= _MOST_RATE]
+    if len(timed) < 2:
+        return
+    common = float(np.median([rate for _, rate in timed]))
+    channels = [c for c, rate in timed if _LIVE_RATES[0] <= rate / common <= _LIVE_RATES[1]]
+    leads = {(a, b): _lead(a, b) for a in channels for b in channels if a is not b}
+
+    def rank(channel: Channel) -> int:
+        return -sum(
+            abs(leads[other, channel]) <= MAX_OFFSET for other in channels if other is not channel
+        )
+
+    if len(channels) < 2:
+        return
+    reference = min(channels, key=rank)
+    for channel in channels:
+        lead = 0.0 if channel is reference else leads[channel, reference]
+        first = float(channel.t[0]) + motion.measured.origin / 1e9
+        yield _Clock(channel, lead, first), lead
+
+
+def _lead(channel: Channel, other: Channel) -> float:
+    """Return by how much a source's stamps are ahead of another's, less their scatter, s."""
+    order, arrival = np.argsort(channel.arrival, kind="stable"), np.sort(channel.arrival)
+    latest = np.searchsorted(np.sort(other.arrival), arrival, side="right") - 1
+    stamps = other.t[np.argsort(other.arrival, kind="stable")]
+    inside = (latest >= 0) & (arrival <= other.arrival.max())
+    if inside.sum() < MIN_MESSAGES:
+        return 0.0
+    low, lead, high = np.percentile(channel.t[order][inside] - stamps[latest[inside]], [10, 50, 90])
+    return float(np.sign(lead) * max(abs(lead) - (high - low), 0.0))
 
 
 @rule(
@@ -100,6 +168,41 @@ def clock_offset(motion: Motion) -> Iterator[Said]:
                 f"stamps {abs(offset):.3g} s {'ahead of' if offset > 0 else 'behind'} those of the "
                 f"other sources: must be within {WARN_OFFSET} s; synchronise the clocks",
             )
+
+
+@rule(
+    "clock_steps",
+    Grade.REFUSED,
+    compares=f"stamp less arrival of {_N_STEPPED} messages after a jump of the stamps with those "
+    "before",
+    threshold=f"> {MAX_OFFSET} s",
+    reason="as clocks_apart; late or lost messages make no step, and of one wild stamp the next "
+    "ones know nothing",
+)
+def clock_steps(motion: Motion) -> Iterator[Said]:
+    """A source whose clock was set."""
+    for channel, rate in _timed(motion):
+        if (step := _step(channel, rate)) != 0.0:
+            yield Said(
+                channel.topic,
+                f"clock stepped by {step:+.3g} s: must be within {MAX_OFFSET} s; keep the driver's "
+                "clock from being set (chrony with slewing, PTP)",
+            )
+
+
+def _step(channel: Channel, rate: float) -> float:
+    """Return by how much a source's clock was set, s; 0 if it was not."""
+    advance = np.diff(channel.t)
+    jump = advance - rate * np.diff(channel.arrival)
+    jumped = (jump > MAX_OFFSET) | ((jump < -MAX_OFFSET) & (advance < 0.0))
+    offset = channel.t - rate * channel.arrival
+    for k in np.flatnonzero(jumped) + 1:
+        if _N_STEPPED <= k <= channel.count - _N_STEPPED:
+            after, before = offset[k : k + _N_STEPPED], offset[k - _N_STEPPED : k]
+            step = float(np.median(after) - np.median(before))
+            if abs(step) > MAX_OFFSET and step * jump[k - 1] > 0.0:
+                return step
+    return 0.0
 
 
 @rule(
