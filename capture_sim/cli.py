@@ -29,12 +29,7 @@ _GARBAGE_THRESHOLD = 100_000
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status.
-
-    0: success.  1: negative result, i.e. a run that stopped, a verdict that differs or a design
-    without a buffer.  2: bad input, i.e. an argument, a scene, or a file that cannot be read or
-    written.  130: interrupted.
-    """
+    """Run a command and return its exit status, see :data:`base.exit_status.OF_COMMANDS`."""
     _open_closed_streams()
     gc.set_threshold(_GARBAGE_THRESHOLD)
     try:
@@ -67,12 +62,18 @@ def command_parser(name: str) -> argparse.ArgumentParser:
     parser = _Parser(
         prog=f"capture-sim {name}",
         description=textwrap.fill(command.DESCRIPTION, shutil.get_terminal_size().columns - 2),
-        epilog=f"example:\n{command.EXAMPLE}",
+        epilog=f"example:\n{command.EXAMPLE}{_failure(getattr(command, 'FAILS', ''))}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     command.add_arguments(parser)
-    parser.set_defaults(run=command.run)
+    parser.set_defaults(run=command.run, fails=getattr(command, "FAILS", ""))
     return parser
+
+
+def _failure(reason: str) -> str:
+    """Return the lines of a command's help on its exit status 1; empty without a reason."""
+    width = shutil.get_terminal_size().columns - 2
+    return "\n\n" + textwrap.fill(f"exit status 1: {reason}", width) if reason else ""
 
 
 def _open_closed_streams() -> None:

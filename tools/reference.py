@@ -1,15 +1,16 @@
-"""Writes what pages say of scenes and messages, from the code: docs/scenes.md, parts of others.
+"""Writes what pages say of interfaces, from the code: scenes.md, and the marked parts of others.
 
     python -m tools.reference docs
 
-The test in tests/docs compares the committed pages with it.  ``--pictures`` also draws a picture of
-each packaged scene into ``docs/scenes``.
+A part of a page is between two marks, see :data:`PARTS`.  The test in tests/docs compares the
+committed pages with it.  ``--pictures`` also draws each packaged scene into ``docs/scenes``.
 """
 
 from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Callable
 from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,9 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from capture_sim.base.files import whole_file
+from capture_sim.hardware.messages import HOLD, RIG_TIP, TIP, TIP_WRENCH
+from capture_sim.messages.topics import CHASER_CMD_WRENCH, ROLL, TARGET_CMD_WRENCH, TOPICS
+from capture_sim.plausibility.check import table_of_rules
 from capture_sim.run.simulation import simulate
 from capture_sim.scene.files import scene_names
 from capture_sim.scene.loading import load_scene
@@ -28,6 +32,7 @@ from capture_sim.viewing.curves import HOLDS, plotted_runs, split
 from capture_sim.viewing.drawing import frame_bounds
 from capture_sim.viewing.shapes import cone_shapes, tip_in_cone
 from capture_sim.viewing.source import verdict
+from tools import tables_of_commands
 from tools.explain import draw_scale
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -187,6 +192,49 @@ def message_rows(text: str) -> list[list[str]]:
     return rows
 
 
+def sample_meanings() -> dict[str, str]:
+    """Return what each field of a sample is, without its unit, from BenchState.msg."""
+    text = (ROOT / "msg" / "BenchState.msg").read_text(encoding="utf-8")
+    return {name: comment for name, _, comment in message_rows(text)}
+
+
+#: Names of the parts of an action and of a service, which lines of three dashes divide.
+_PARTS_OF = {".action": ("goal", "result", "feedback"), ".srv": ("request", "response")}
+
+
+def service_fields() -> str:
+    """Return a table of the constants and fields of each action and service."""
+    lines = ["| type | part | field | type | content |", "|---|---|---|---|---|"]
+    for folder in ("action", "srv"):
+        for path in sorted((ROOT / folder).iterdir()):
+            texts = path.read_text(encoding="utf-8").split("\n---\n")
+            for part, text in zip(_PARTS_OF[path.suffix], texts, strict=True):
+                for name, kind, comment in message_rows(text):
+                    content = comment.replace("|", r"\|")
+                    lines.append(f"| `{path.stem}` | {part} | `{name}` | {kind} | {content} |")
+    return "\n".join(lines)
+
+
+def quality_of_service() -> str:
+    """Return the quality of service of each topic that the nodes describe as data."""
+    described = [
+        *TOPICS,
+        ROLL,
+        CHASER_CMD_WRENCH,
+        TARGET_CMD_WRENCH,
+        TIP,
+        RIG_TIP,
+        TIP_WRENCH,
+        HOLD,
+    ]
+    lines = ["| topic | type | history | durability |", "|---|---|---|---|"]
+    for topic in described:
+        history = f"KEEP_LAST, depth {topic.depth}" if topic.keeps_last else "KEEP_ALL"
+        kept = "transient local" if topic.transient_local else "volatile"
+        lines.append(f"| `{topic.name}` | {topic.type_name} | {history} | {kept} |")
+    return "\n".join(lines)
+
+
 def message_fields() -> str:
     """Return a table of the constants and fields of each message in ``msg``."""
     lines = ["| message | field | type | content |", "|---|---|---|---|"]
@@ -199,14 +247,37 @@ def message_fields() -> str:
     return "\n".join(lines)
 
 
-def nodes_page(page: str) -> str:
-    """Return docs/reference_nodes.md with the fields of the messages as they are now."""
-    begin, end = "<!-- generated: fields -->", "<!-- end of generated -->"
-    head, _, rest = page.partition(begin)
-    _, found, tail = rest.partition(end)
-    if not found:
-        raise SystemExit("reference_nodes.md: no part for the fields of messages")
-    return f"{head}{begin}\n\n{message_fields()}\n\n{end}{tail}"
+PART = re.compile(
+    r"<!-- generated: (?P<name>[\w ]+) -->\n.*?\n?<!-- end of generated -->", re.DOTALL
+)
+#: What stands between ``<!-- generated: NAME -->`` and ``<!-- end of generated -->``, on any page.
+PARTS: dict[str, Callable[[], str]] = {
+    "fields": message_fields,
+    "fields of services": service_fields,
+    "quality of service": quality_of_service,
+    "rules": table_of_rules,
+    "commands": tables_of_commands.commands,
+    "exit statuses": tables_of_commands.statuses,
+    "exit statuses of nodes": tables_of_commands.statuses_of_nodes,
+    "results": tables_of_commands.results,
+    "variables": lambda: tables_of_commands.variables(sample_meanings()),
+}
+
+
+def filled(page: str) -> str:
+    """Return a page with its generated parts as they are now; KeyError for an unknown part."""
+
+    def part(found: re.Match[str]) -> str:
+        name = found["name"]
+        return f"<!-- generated: {name} -->\n\n{PARTS[name]()}\n\n<!-- end of generated -->"
+
+    return PART.sub(part, page)
+
+
+def pages_with_parts(docs: Path) -> list[Path]:
+    """Return the pages of a folder, and of those in it, that have generated parts."""
+    pages = sorted(docs.rglob("*.md"))
+    return [page for page in pages if PART.search(page.read_text(encoding="utf-8"))]
 
 
 def draw_scene(name: str) -> Figure:
@@ -233,11 +304,8 @@ def main() -> None:
     parser.add_argument("docs", type=Path, help="folder of the pages")
     parser.add_argument("--pictures", action="store_true", help="draw the packaged scenes, too")
     asked = parser.parse_args()
-    nodes = asked.docs / "reference_nodes.md"
-    texts = {
-        nodes: nodes_page(nodes.read_text(encoding="utf-8")),
-        asked.docs / "scenes.md": scenes_page(),
-    }
+    texts = {p: filled(p.read_text(encoding="utf-8")) for p in pages_with_parts(asked.docs)}
+    texts[asked.docs / "scenes.md"] = scenes_page()
     for path, text in texts.items():
         with whole_file(path) as part:
             part.write_text(text, encoding="utf-8")

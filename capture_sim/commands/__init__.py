@@ -1,7 +1,8 @@
 """The commands of ``capture-sim``, one module each.
 
 A command's module has ``DESCRIPTION``, ``EXAMPLE``, ``add_arguments(parser)`` and
-``run(options)``, which returns the exit status.  It is imported only when the command is called,
+``run(options)``, which returns the exit status; ``FAILS`` says when that is 1, besides the reasons
+of all commands (``OF_COMMANDS``).  It is imported only when the command is called,
 so it may import all it needs at its top.
 
 Takes: Arguments of the command line.

@@ -18,6 +18,7 @@ from capture_sim.scene.quantities import REAL_TIME_FACTORS
 DESCRIPTION = (
     "Run scenes with the ROS 2 nodes, one process each; record, tabulate and draw the results."
 )
+FAILS = "a node or a run has failed, or a scene has no result"
 EXAMPLE = "  capture-sim bench tilt_0 tilt_p10 --rtf 1 --out runs"
 
 

@@ -51,9 +51,12 @@ DESCRIPTION = (
     "Fit the parameters of a bench to all of its trials. Each trial has its own start poses and "
     "release, which are fitted as well. Measurements after the first launcher/hold that follows "
     "the release are not used. Print values with standard errors and the tests of the fit; write "
-    "a calibrated scene, the covariance and plots. The exit status is 1, with the reasons, if a "
-    "test fails: searches or trials that do not agree, residuals that are not noise, something "
-    "that the model lacks, a value at the end of its range, or a direction without information."
+    "a calibrated scene, the covariance and plots."
+)
+FAILS = (
+    "a test fails, with the reasons: searches or trials that do not agree, residuals that are "
+    "not noise, something that the model lacks, a value at the end of its range, or a "
+    "direction without information"
 )
 EXAMPLE = """\
   capture-sim calibrate trial_0.mcap trial_p10.mcap trial_m10.mcap \\

@@ -49,7 +49,7 @@ DESCRIPTION = (
     "approach cover the whole run, including the latched phase. Scenes given by name are "
     "simulated. With --calibrated, say whether a trial agrees with a calibrated bench: its "
     "residuals, parameters and placement. With --simulated, compare a recording with its own scene "
-    "simulated again; the exit status is then 1 if the samples of a simulated recording differ."
+    "simulated again."
 )
 IDENTICAL = "identical"
 #: Standard deviations of the start poses that are expected of a new trial.
@@ -58,6 +58,10 @@ PLACEMENT = "1 mm, 5 mrad"
 _LARGEST_SHARE = 10.0
 #: Number of touches in the printed list.
 SHOWN = 12
+FAILS = (
+    "with --simulated, the samples of a simulated recording differ; with --calibrated, the "
+    "trial does not agree"
+)
 EXAMPLE = "  capture-sim compare measured.mcap --scene tilt_0 --simulated --out compared"
 
 

@@ -95,10 +95,11 @@ DESCRIPTION = (
     "other buffer beats in all objectives: one buffer for one objective, the front for two or "
     "three. Each row of the table is also a scene, and says how far it has converged. "
     "If no buffer captures within the limits, print the one that comes "
-    "closest among the ones tried (exit status 1). Limits apply to the whole run, including the "
+    "closest among the ones tried. Limits apply to the whole run, including the "
     "latched phase. Without limits and objectives, the strokes of the scene's own buffer are the "
     "limits. With --first-contact, design as in the paper: for strokes of the first contact."
 )
+FAILS = "no buffer was found that captures within the limits"
 EXAMPLE = """\
   capture-sim design tilt_p10 --minimize max_axial_stroke_in,max_buffer_force --torsion-limit 8
   capture-sim design tilt_0 --stroke-limit 10 --minimize max_buffer_force \\

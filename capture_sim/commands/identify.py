@@ -32,9 +32,9 @@ DESCRIPTION = (
     "e.g. delay.buffer. The fit uses poses, stroke and torsion up to the first launcher/hold after "
     "the release, and the first touches if they are recorded. The start poses are fitted as well, "
     "and the release if the recording does not contain it. Print the values with standard errors. "
-    "The exit status is 1, with the reason, if a test of the fit fails. For several trials of one "
-    "bench, see capture-sim calibrate."
+    "For several trials of one bench, see capture-sim calibrate."
 )
+FAILS = "a test of the fit fails, with the reason, or the measurements do not depend on a parameter"
 EXAMPLE = "  capture-sim identify measured.mcap c_rr e mu c_A --scene tilt_0"
 
 

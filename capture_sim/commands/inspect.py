@@ -22,9 +22,10 @@ from capture_sim.scene.loading import load_scene
 DESCRIPTION = (
     "Say what recordings are worth before anything is judged or fitted: a row for each topic with "
     "rate, gaps, clock, noise, range and use; the rules of plausibility that are broken; what is "
-    "missing for detect, compare and identify. Any MCAP file or bag is accepted. The exit status "
-    "is 1 if a rule of grade 'refused' is broken. Times are in s since the release."
+    "missing for detect, compare and identify. Any MCAP file or bag is accepted. "
+    "Times are in s since the release."
 )
+FAILS = "a rule of grade 'refused' is broken"
 EXAMPLE = "  capture-sim inspect measured.mcap --scene tilt_0"
 _HEAD = (
     "topic",

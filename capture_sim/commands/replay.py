@@ -18,6 +18,7 @@ DESCRIPTION = (
     "ROS_DOMAIN_ID of the environment. The services /player/pause and /player/resume "
     "(std_srvs/Trigger) control the replay."
 )
+FAILS = "a node has failed"
 EXAMPLE = "  capture-sim replay runs/tilt_0.mcap --rtf 0.1 --start 2.2"
 #: Nodes that can follow a played run.
 FOLLOWERS = ("capture_detector", "recorder")

@@ -20,6 +20,7 @@ from capture_sim.run.simulation import RunError, simulate
 from capture_sim.scene.loading import overridden_name
 
 DESCRIPTION = "Run scenes without ROS; record, tabulate and draw the results."
+FAILS = "a run has stopped before its end; its results until then are written"
 EXAMPLE = "  capture-sim run tilt_0 tilt_p10 --set buffer.c_A=20 --out runs"
 
 

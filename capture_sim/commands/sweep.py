@@ -82,6 +82,7 @@ DESCRIPTION = (
     "influential inputs. The tolerance is 1e-6 unless --set run.rtol gives another. Verdicts "
     "evaluate the exact motion, without the noise of the scene's sensors."
 )
+FAILS = "no run could be computed"
 EXAMPLE = """\
   capture-sim sweep tilt_p10 --vary buffer.c_A=5:30:26 --out runs/damper.csv
   capture-sim sweep tilt_0 --vary initial.chaser.y='normal(5 mm, 2 mm)' \\

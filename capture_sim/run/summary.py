@@ -88,6 +88,34 @@ def end_and_residual(samples: np.ndarray, rate: float) -> tuple[float, float]:
 
 #: Key of a row of ``results.json``: file of the recording beside it; null without one.
 RECORDING = "recording"
+#: Unit and meaning of each key, in its order, but for the loads (:data:`LOADS`).
+KEYS = {
+    "name": ("", "run"),
+    "verdict": ("", "the detector's verdict; `null`: nothing to detect with"),
+    "left_again": ("", "true: a captured tip has left the capture zone again"),
+    "not_used": ("", "measurements that the detector did not use"),
+    "problems": ("", "why the run or its recording is incomplete"),
+    "doubts": (
+        "",
+        "[rules of plausibility](what_your_recording_must_hold.md) that the measurements break",
+    ),
+    "impact_speed": ("m/s", "speed of the chaser relative to the target at the first touch"),
+    "impact_speed_missing": ("", "why a rig's bag gives no impact speed; empty if it does"),
+    "first_contact_time": ("s", "start of the first contact, since the release"),
+    "first_contact_duration": ("s", "from its first touch to the end of its last one"),
+    "first_contact_touches": ("1", "number of touches in it"),
+    "first_contact_peak_force": ("N", "largest normal force in it"),
+    "first_contact_impulse": ("N s", "normal impulse of its touches"),
+    "touches": ("1", "number of touches in the run"),
+    "normal_impulse": ("N s", "normal impulse of all touches"),
+    NEAREST_ERROR: ("m", "standard error of `nearest_distance`; 0: exact, `null`: noise hides it"),
+    "loads_from": ("", "`integration`, or the samples and their rate"),
+    "energy_residual": ("J", "largest residual of the energy ledger"),
+    "wall_time": ("s", "duration of the computation"),
+    "real_time_factor": ("1", "simulated time over `wall_time`"),
+    "made_by": ("", "scene, overrides, hash, seed and software"),
+    RECORDING: ("", "file of the recording beside the table; `null` without one"),
+}
 #: Keys of such a row that do not say what was measured.
 NOT_NUMBERS = {RECORDING, "wall_time", "real_time_factor", "made_by"}
 #: Value of the keys that are no number, where a row lacks them.

@@ -17,7 +17,7 @@ class _Column(NamedTuple):
     factor: float = 1.0
 
 
-_COLUMNS = (
+COLUMNS = (
     _Column("", "experiment", "", "name", "{}"),
     _Column("", "verdict", "", "verdict", "{}"),
     _Column("contact", "speed", "m/s", "impact_speed", "{:.4f}"),
@@ -49,7 +49,7 @@ LEGEND = (
 
 def heads() -> list[tuple[str, str, str]]:
     """Return group, name and unit of every column; neighbours of one group share it."""
-    return [(column.group, column.name, column.unit) for column in _COLUMNS]
+    return [(column.group, column.name, column.unit) for column in COLUMNS]
 
 
 def rows(
@@ -63,19 +63,19 @@ def rows(
     table_rows = []
     first_column = [summary["name"] for summary in summaries] if names is None else names
     for name, summary in zip(first_column, summaries, strict=True):
-        row = [name, *(_text(column, summary[column.key]) for column in _COLUMNS[1:])]
+        row = [name, *(_text(column, summary[column.key]) for column in COLUMNS[1:])]
         if summary["left_again"]:
             row[1] += ", left"
         table_rows.append(row)
         if summary["max_latch_force_time"] is not None:
-            values = (summary.get(f"{column.key}_before_latch") for column in _COLUMNS[1:])
+            values = (summary.get(f"{column.key}_before_latch") for column in COLUMNS[1:])
             cells = (
                 "" if value is None else _text(column, value)
-                for column, value in zip(_COLUMNS[1:], values, strict=True)
+                for column, value in zip(COLUMNS[1:], values, strict=True)
             )
             table_rows.append([_UNTIL_LATCH, *cells])
         if summary["problems"]:
-            table_rows.append([_INCOMPLETE, *[""] * (len(_COLUMNS) - 1)])
+            table_rows.append([_INCOMPLETE, *[""] * (len(COLUMNS) - 1)])
     return table_rows
 
 
@@ -96,10 +96,10 @@ def table(summaries: Sequence[dict[str, Any]], names: Sequence[str] | None = Non
     if names is not None:
         summaries = [{**row, "name": name} for row, name in zip(summaries, names, strict=True)]
     # the group is over the column of its longest name, so that it needs no room
-    widest = {column.group: column for column in sorted(_COLUMNS, key=lambda c: len(c.name))}
+    widest = {column.group: column for column in sorted(COLUMNS, key=lambda c: len(c.name))}
     head = [
         f"{column.group if column is widest[column.group] else ''}\n{column.name}\n{column.unit}"
-        for column in _COLUMNS
+        for column in COLUMNS
     ]
     text = table_text(head, rows(summaries), left=2, gap=1)
     return "\n".join([text, "", *LEGEND, *notes(summaries)])

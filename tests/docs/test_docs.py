@@ -35,6 +35,8 @@ import capture_sim
 from capture_sim.cli import command_parser, main
 from capture_sim.dynamics.samples import TOUCH
 from capture_sim.recording.offline import write_run
+from capture_sim.run.loads import LOADS
+from capture_sim.run.summary import KEYS
 from capture_sim.scene.parts import Scene
 from tools import reference, setup_env
 
@@ -335,8 +337,11 @@ def test_pages_made_from_the_code_are_up_to_date():
     """`python -m tools.reference docs` writes them."""
     docs = ROOT / "docs"
     assert (docs / "scenes.md").read_text() == reference.scenes_page()
-    nodes = (docs / "reference_nodes.md").read_text()
-    assert nodes == reference.nodes_page(nodes)
+    pages = reference.pages_with_parts(docs)
+    texts = {page: page.read_text() for page in pages}
+    assert sum(text.count("<!-- end of generated -->") for text in texts.values()) >= 7
+    stale = [page.name for page, text in texts.items() if reference.filled(text) != text]
+    assert not stale
 
 
 def test_the_scene_reference_explains_every_part_and_field():
@@ -365,6 +370,19 @@ def test_the_python_page_has_every_key_of_the_results(recordings):
         keys = {key if key in named else endings.sub("", key) for key in result}
         assert keys <= named
     assert set(TOUCH.names) <= named
+
+
+def test_each_key_of_the_results_has_its_unit_and_meaning(recordings):
+    ending = re.compile(r"(_before_latch)?(_time)?$")
+    loads = {load.key for load in LOADS}
+    for row in json.loads((recordings / "results.json").read_text()):
+        assert {key for key in row if ending.sub("", key) not in loads} == set(KEYS)
+
+
+def test_every_field_of_an_action_and_a_service_has_its_meaning():
+    rows = [line.split(" | ") for line in reference.service_fields().splitlines()[2:]]
+    assert {row[0] for row in rows} >= {"| `RunTrial`", "| `ResetSimulation`"}
+    assert not [row for row in rows if not row[4].strip(" |")]
 
 
 def test_examples_need_what_a_set_up_installs():
