@@ -207,7 +207,8 @@ def main() -> int:
 
 def compiles(file: str) -> bool:
     """Return True if a file is a source of the kernels, as far as its folder shows."""
-    return file.split("/")[1] in ("engine", "model", "solver") or "detection/criteria" in file
+    kernels = ("dynamics/engine/", "dynamics/model/", "dynamics/solver/", "detection/criteria")
+    return any(f"capture_sim/{name}" in file for name in kernels)
 
 
 if __name__ == "__main__":
