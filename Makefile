@@ -36,7 +36,7 @@ help:
 	@echo "                 (22 min of one core; JOBS=N for N at once; CASES=all: by make test-all)"
 	@echo "make picture     remake the pictures in README.md and docs/; needs chromium and a Vulkan driver"
 	@echo "make format      format the Python files as lint requires"
-	@echo "make lock        pin the packages again after pyproject.toml has changed"
+	@echo "make lock        pin the packages again after pyproject.toml has changed; ALL=1: the latest of each"
 	@echo "make clean       remove .venv and everything built; keeps runs/"
 
 setup develop:
@@ -142,7 +142,7 @@ picture: develop
 	$(BIN)/python tools/rerun_picture.py build/picture/runs.rrd docs/rerun.png --at 0.1
 
 lock: develop
-	tools/lock.sh
+	tools/lock.sh $(if $(ALL),--all)
 
 format: develop
 	$(BIN)/ruff check --fix .
