@@ -21,10 +21,10 @@ unexport PYTHONDONTWRITEBYTECODE
 help:
 	@echo "make run         set up and run the three experiments; results in runs/"
 	@echo "make test        set up, check the style and run the tests, with few cases each"
-	@echo "make test-all    ... with all cases, and with a processor's other rounding"
+	@echo "make test-all    ... with all cases, with a processor's other rounding, and with NumPy 1.26"
 	@echo "make test-core   only the tests without nodes; make test-nodes: only those of the nodes"
 	@echo "make test-generic run the numerical tests as compiled for any processor of this kind"
-	@echo "make test-numpy1 run the same tests with an apt Jazzy's NumPy, 1.26, and without rerun"
+	@echo "make test-numpy1 run the core tests with an apt Jazzy's NumPy, 1.26, and without rerun"
 	@echo "make test-plain  install without ROS in an environment of its own, and run README's Python"
 	@echo "make setup       only set up .venv for runs; leaves .venv/bin/capture-sim"
 	@echo "make develop     ... and for the tests and the docs"
@@ -59,6 +59,7 @@ test: develop
 test-all: develop
 	CAPTURE_SIM_CASES=all $(MAKE) test
 	$(MAKE) test-generic
+	$(MAKE) test-numpy1
 
 test-core: develop
 	$(BIN)/python -m pytest tests --ignore tests/nodes -n auto --durations=20
@@ -82,7 +83,8 @@ test-generic: develop
 		CAPTURE_SIM_CASES=$${CAPTURE_SIM_CASES:-40} \
 		$(BIN)/python -m pytest $(NUMERICAL) -n auto --durations=20
 
-# The committed files, in a clone with an environment of its own
+# The committed files, in a clone with an environment of its own; without the nodes, whose wheels of
+# ROS are for NumPy 2
 test-numpy1:
 	rm -rf build/numpy1
 	git clone -q . build/numpy1
@@ -90,7 +92,6 @@ test-numpy1:
 	build/numpy1/$(BIN)/python -m pip install -q -r requirements/workstation.txt
 	build/numpy1/$(BIN)/python -m pip uninstall -q -y rerun-sdk
 	cd build/numpy1 && $(BIN)/python -m pytest tests --ignore tests/nodes -n auto
-	cd build/numpy1 && $(BIN)/python -m pytest tests/nodes -n $(NODE_WORKERS) --dist loadfile
 
 # Without ROS, in an environment of its own: what README's Python lines need
 test-plain:
