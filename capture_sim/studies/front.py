@@ -35,16 +35,6 @@ def layers(points: np.ndarray) -> list[np.ndarray]:
     return [first[layer] for layer in NonDominatedSorting().do(points[first])]
 
 
-def hypervolume(points: np.ndarray, ideal: np.ndarray, nadir: np.ndarray) -> float:
-    """Return the share of the box from ideal to nadir that some points dominate."""
-    from pymoo.indicators.hv import HV
-
-    if not len(points):
-        return 0.0
-    scaled = (points - ideal) / np.where(nadir > ideal, nadir - ideal, 1.0)
-    return float(HV(ref_point=np.ones(scaled.shape[1]))(scaled))
-
-
 def knee(points: np.ndarray) -> int:
     """Return the index of a front's point with the least sum of objectives.
 

@@ -1,4 +1,4 @@
-"""Fronts of known shape: layers, knee, rows, hypervolume; limits with known cost."""
+"""Fronts of known shape: layers, knee, rows; limits with known cost."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 
 from capture_sim import SceneError
 from capture_sim.studies.candidates import Candidate, Requirements
-from capture_sim.studies.front import hypervolume, knee, layers, rows_of
+from capture_sim.studies.front import knee, layers, rows_of
 from capture_sim.studies.limit_costs import limit_costs
 from capture_sim.studies.limits import make_limits, make_objectives
 from capture_sim.studies.variables import Variable
@@ -33,11 +33,6 @@ def test_the_knee_is_the_corner_and_rows_are_spread_with_the_ends():
     assert rows == sorted(rows)
     assert np.diff(front[rows, 0]).max() < 0.45
     assert rows_of(front[:1], 12) == [0]
-
-
-def test_the_hypervolume_of_a_corner_is_its_area():
-    assert hypervolume(np.array([[0.25, 0.5]]), np.zeros(2), np.ones(2)) == pytest.approx(0.375)
-    assert hypervolume(np.empty((0, 2)), np.zeros(2), np.ones(2)) == 0.0
 
 
 @pytest.mark.parametrize(
