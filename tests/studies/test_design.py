@@ -4,6 +4,7 @@ import csv
 import itertools
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -194,6 +195,10 @@ def test_a_refusal_names_what_was_searched_and_the_nearest(servicer):
         (["probe.length"], "free probe.length: must have a range, probe.length=LOW:HIGH"),
         (["contact.law"], "must be a number of the scene"),
         (["buffer.k_A", "buffer.k_A=1:2"], "must be given once"),
+        (["buffer.k_A=[]"], r"free buffer.k_A = \[\]: must be \[A,B,..\] with one value or more"),
+        (["buffer.k_A=[ , ]"], "with one value or more in N/m"),
+        (["buffer.k_A=[500,-1]"], "free buffer.k_A = -1.0 N/m: must be >= 0"),
+        (["buffer.k_A=[500,5 mm]"], "must be .A,B,...* in N/m"),
     ],
 )
 def test_what_cannot_be_free_is_rejected_in_a_line(servicer, free, message):
@@ -358,9 +363,39 @@ def test_rows_keep_to_a_window_a_catalogue_and_a_damping_ratio(servicer):
         assert buffer.c_A == pytest.approx(values["damping_ratio"] * critical)
         assert row.candidate.loads["max_axial_stroke_in"] <= 0.012
     assert found.rows[-1].candidate.loads["max_axial_stroke_in"] == pytest.approx(0.012, rel=0.05)
-    nowhere = Window("max_axial_stroke_in", 1e-6, 2e-6)
-    refused = design_buffer(servicer, Requirements(TRADED), DAMPER, window=nowhere, candidates=100)
-    assert "--window max_axial_stroke_in: 0.001 to 0.002 mm is not reached" in refused.refusal
+
+
+@pytest.mark.parametrize(
+    "window, shown",
+    [((1e-6, 2e-6), "0.001 to 0.002 mm"), ((0.5, 0.6), "500 to 600 mm")],
+)
+def test_a_window_beyond_what_buffers_reach_is_refused_with_what_they_do(servicer, window, shown):
+    asked = Window("max_axial_stroke_in", *window)
+    refused = design_buffer(servicer, Requirements(TRADED), DAMPER, window=asked, candidates=100)
+    assert not refused.rows
+    assert f"--window max_axial_stroke_in: {shown} is not reached" in refused.refusal
+    strokes = [x.loads["max_axial_stroke_in"] * 1e3 for x in refused.history if x.feasible]
+    said = re.search(r"have (\S+) to (\S+) mm", refused.refusal)
+    assert float(said[1]) == pytest.approx(min(strokes), rel=1e-3)
+    assert float(said[2]) == pytest.approx(max(strokes), rel=1e-3)
+
+
+def test_three_objectives_give_a_front_of_three(servicer):
+    """All three are traded, and no run of the search beats a row in all of them."""
+    keys = ["max_axial_stroke_in", "max_buffer_force", "max_buffer_torque"]
+    three = make_objectives(keys)
+    found = design_buffer(servicer, Requirements(three, LIMITS), candidates=300)
+    costs = costs_of(found.front, three)
+    assert len(costs) >= 3
+    tried = costs_of([x for x in found.history if x.feasible], three)
+    for row in costs:
+        assert not (tried < row - 1e-4).all(axis=1).any()
+        assert not ((costs <= row).all(axis=1) & (costs < row).any(axis=1)).any()
+    assert np.ptp(costs, axis=0).min() > 0.05
+    for row in found.rows:
+        run = run_to_end(found.scene_of(row.candidate))
+        assert [run.loads[key] for key in keys] == [row.candidate.loads[key] for key in keys]
+        assert within(found.scene_of(row.candidate), LIMITS)
 
 
 def test_narrow_ranges_are_searched_though_the_buffer_decides_little():
