@@ -364,6 +364,23 @@ def test_a_role_that_is_named_twice_is_waited_for_twice(node):
     assert announcing.cast().participants == ("/recorder#1", "/recorder#2")
 
 
+def test_a_run_is_refused_if_one_of_two_recorders_does_not_join(node):
+    alone(node)
+    ids = ["/recorder#1", "/recorder#2"]
+    roll = Roll(node, "simulator")
+    announcing = Announcer(node, roll, RunSource.SIMULATION, ["recorder", "recorder"])
+    node.publishers.append("/recorder")
+    for participant in ids:
+        node.hear(ROLL, part_of(FREE, participant=participant))
+    run = RunDescription.of(
+        load_scene("tilt_0"), "a run", (), announcer="/simulator#1", participants=ids
+    )
+    joined = part_of(READY, run_key(run), participant=ids[0])
+    node.at(1.0, lambda: node.hear(ROLL, joined))
+    with pytest.raises(CaptureSimError, match="recorder has not joined the run"):
+        announcing.announce(run, node.messages.serialise(node.messages.run_info(run)))
+
+
 def test_who_does_not_come_is_named(node, announcing):
     with pytest.raises(CaptureSimError, match="waiting for launcher to start: timed out after 9 s"):
         announcing.await_nodes("tilt_0", 9.0)
