@@ -5,7 +5,7 @@
 ``stages`` imports in one process what ``run tilt_0 --no-record`` needs, in that order, and runs the
 scene; ``commands`` runs commands, each in processes of its own.  Both states run with the present
 Python: the packages of another environment would be compared too.
-Writes the parts of docs/model.md.
+Writes the parts of docs/evidence/start.md.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def commands(asked: Namespace, _: Path) -> list[str]:
 
 if __name__ == "__main__":
     write_parts(
-        "model",
+        "start",
         __doc__,
         {"stages": stages, "commands": commands},
         before=(None, "checkout of an earlier state"),

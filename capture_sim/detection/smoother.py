@@ -4,7 +4,7 @@ The noise is estimated from the measurements: a vehicle of 20 kg moves smoothly,
 successive measurements its position is a parabola in time, and their third difference is noise.
 Without noise the path is the measured one.  With noise it is a parabola fitted (least squares) to
 as many measurements before and after as the noise requires and ``detector.max_delay`` permits.
-docs/detection.md has the reasoning in numbers.
+docs/detection_noise.md has the reasoning in numbers.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ def test_formulas_are_typeset_when_the_site_is_built(site):
     page = (site / "model" / "index.html").read_text()
     source = (DOCS / "model.md").read_text()
     written = source.count("```math") + len(re.findall(r"\$[^$\n]+\$", source))
-    assert len(re.findall("<math", page)) == written > 40
+    assert len(re.findall("<math", page)) == written > 30
     [matrix, *_] = re.findall("<mtable.*?</mtable>", page, re.DOTALL)
     rows = [row.split("<mtd")[1:] for row in matrix.split("<mtr")[1:]]
     assert [len(row) for row in rows] == [5] * 5
@@ -283,5 +283,5 @@ def test_a_browser_draws_every_formula_as_it_is_written(seen, hooks):
             assert page["n_formulas"] >= written, path  # docstrings have some as well
             assert not page["formulas"], (path, width)
             n_brackets += page["n_brackets"]
-    assert seen.pages["/model/", WIDTHS[0]]["n_formulas"] > 40
+    assert seen.pages["/model/", WIDTHS[0]]["n_formulas"] > 30
     assert n_brackets >= 2 * len(WIDTHS)

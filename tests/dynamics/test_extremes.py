@@ -144,7 +144,7 @@ def test_a_sustained_touch_does_not_contradict_itself(number, rtol):
         [expected] = exact.touches[
             (exact.touches["start"] < middle) & (exact.touches["end"] > middle)
         ]
-        # samples between the steps ripple by less than the peak may err, see docs/model.md
+        # samples between the steps ripple by less than the peak may err, see docs/accuracy.md
         assert touch["peak_force"] >= samples["normal_force"][inside, i].max() * (1.0 - RIPPLE)
         rate = max(samples["penetration_rate"][inside, i].max(), touch["approach_speed"])
         assert touch["rate_ratio"] * touch["approach_speed"] >= rate * (1.0 - 1e-4)

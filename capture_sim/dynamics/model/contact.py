@@ -94,7 +94,7 @@ def exact_factor(e: float) -> float:
     return float(-math.expm1(-x) / e)
 
 
-#: a(e) of each law; sources in docs/model.md.
+#: a(e) of each law; sources in docs/forces.md.
 HYSTERESIS_FACTOR: dict[str, Callable[[float], float]] = {
     "lankarani_nikravesh": lambda e: 0.75 * (1.0 - e * e),
     "hunt_crossley": lambda e: 1.5 * (1.0 - e),
