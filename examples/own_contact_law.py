@@ -1,8 +1,8 @@
 """Two ways to add a contact law of your own.
 
 1. Most laws in the literature are F = K delta^1.5 (1 + a(e) delta' / v_0), and differ only in their
-   hysteresis factor a(e).  For any a, the law `exact` with the law's effective restitution
-   reproduces it, in everything that capture_sim does.
+   hysteresis factor a(e).  The field `contact.hysteresis_factor` takes any a, in everything that
+   capture_sim does.
 2. Another dependence on the rate is computed here, step by step, and applied to vehicles and buffer
    as a wrench on the tip.  For another elastic force see examples/own_contact.py.  Limits: a scene
    with a rail begins at its end (docs/hardware_in_the_loop.md); touches are not located; the wrench
@@ -13,7 +13,6 @@
 import math
 
 import capture_sim
-from capture_sim.dynamics.model.contact import returned_restitution
 from capture_sim.hardware.law import Walls, Wrench
 from capture_sim.hardware.stage import LoopStage
 
@@ -21,11 +20,6 @@ from capture_sim.hardware.stage import LoopStage
 def safaeifar(e):
     """Return a(e) of Safaeifar and Farshidianfar (2020), which the package does not have."""
     return 1.25 * (1.0 - e) / e
-
-
-def changes_for(a):
-    """Return the changes of a scene that give it the hysteresis factor a."""
-    return {"contact.law": "exact", "contact.restitution": returned_restitution(a)}
 
 
 def lining(delta, rate):
@@ -50,7 +44,7 @@ def first_peak(scene, law, step):
 
 
 if __name__ == "__main__":
-    run = capture_sim.simulate("paper_designed", changes_for(safaeifar(0.5)))
+    run = capture_sim.simulate("paper_designed", {"contact.hysteresis_factor": safaeifar(0.5)})
     print(f"Safaeifar: {run.summary['verdict']}, peak {run.summary['max_normal_force']:.1f} N")
     for step in (2e-5, 1e-5):
         peak = first_peak(capture_sim.load_scene("paper_designed"), lining, step)

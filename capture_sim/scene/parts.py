@@ -332,7 +332,7 @@ class String(Checked):
     """String, pulley and hanging mass.
 
     Of ``impact_speed``, ``hanging_mass`` and ``drop_height`` two are given; the third (null) is
-    computed from them, see :mod:`capture_sim.scene.launch_plan`.
+    computed from them.
     """
 
     impact_speed: float | None = quantity(
