@@ -64,7 +64,6 @@ from capture_sim.studies.design import (
     CANDIDATES_OF_DRAWS,
     MAX_ROWS,
     Design,
-    Window,
     costs_of_limits,
     default_candidates,
     design_buffer,
@@ -88,6 +87,7 @@ from capture_sim.studies.paper_flow import (
     design_first_contact,
     with_buffer,
 )
+from capture_sim.studies.search import Window
 from capture_sim.studies.variables import FREE, TORSIONAL, make_variables
 
 DESCRIPTION = (

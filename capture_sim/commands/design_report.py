@@ -16,10 +16,11 @@ from capture_sim.recording.sweep_file import head_of
 from capture_sim.run.loads import LOADS, implausible_stroke
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.candidates import CHECK_DRAWS, Candidate
-from capture_sim.studies.design import LONGEST, SHARP, Design, Row, beaten_by
+from capture_sim.studies.design import Design, beaten_by
 from capture_sim.studies.limit_costs import STEPS, Change, LimitCost
 from capture_sim.studies.limits import CAPTURE_RANGE, LOAD_KEYS, Limit, Measure
 from capture_sim.studies.outcome import CAPTURED, Outcome, run_to_end
+from capture_sim.studies.rows import LONGEST, SHARP, Row
 from capture_sim.studies.variables import DAMPING_RATIO
 
 
@@ -156,6 +157,12 @@ def _notes(design: Design) -> list[str]:
                 for each, factor in row.grown
             )
             notes.append(f"{where}no limit on {loads}")
+        if row.behind:
+            until = row.stays or design.scene.run.t_end
+            notes.append(
+                f"{where}at {until:g} s the tip is {row.behind * 1e3:.0f} mm behind BE, inside of "
+                "the target: no scene describes what is there"
+            )
     if len(design.rows) > 1 and any(row.at_ends for row in (design.rows[0], design.rows[-1])):
         notes.append("an end of the front is an end of a range, so the knee depends on the ranges")
     if any(row.sharpness and row.sharpness.not_held for row in design.rows):
@@ -315,6 +322,7 @@ def write_front(
             **plain(row.candidate),
             "convergence": row.convergence,
             "stays_until": row.stays,
+            "behind": row.behind,
             "at_ends": row.at_ends,
             "sharpness": row.sharpness and _without_nan(dataclasses.asdict(row.sharpness)),
             "grown": {each.key: factor for each, factor in row.grown},

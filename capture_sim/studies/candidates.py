@@ -145,6 +145,12 @@ class Candidate:
         return [each.cost(_number(self.loads[each.key])) for each in objectives]
 
 
+def costs_of(candidates: Sequence[Candidate], objectives: Sequence[Measure]) -> np.ndarray:
+    """Return the objectives of candidates, (n, objectives), each so that less is better."""
+    costs = [each.costs(objectives) for each in candidates]
+    return np.array(costs, dtype=float).reshape(-1, len(objectives))
+
+
 def _number(value: float) -> float:
     return 0.0 if math.isnan(value) else value
 

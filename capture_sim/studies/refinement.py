@@ -93,6 +93,10 @@ class Points:
         """Return what a goal minimises, of each candidate."""
         return goal.values(self.costs, self.violations)
 
+    def best_values(self, goals: Sequence[Goal]) -> np.ndarray:
+        """Return the least value of each goal, (goals,)."""
+        return np.array([self.goal_values(goal).min() for goal in goals])
+
     def best(self, goal: Goal, count: int, *, feasible: bool = False) -> list[Candidate]:
         """Return the best candidates of a goal, each value once; with ``feasible`` only such."""
         values = self.goal_values(goal)

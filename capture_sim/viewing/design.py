@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from capture_sim.run.simulation import simulate
-from capture_sim.studies.candidates import Candidate
-from capture_sim.studies.design import Design, costs_of
+from capture_sim.studies.candidates import Candidate, costs_of
+from capture_sim.studies.design import Design
 from capture_sim.studies.limits import CAPTURE_RANGE, Measure
 from capture_sim.studies.outcome import CAPTURED, run_to_verdict
 from capture_sim.viewing import style

@@ -17,18 +17,19 @@ from capture_sim.cli import main
 from capture_sim.scene import paths
 from capture_sim.scene.loading import change_scene
 from capture_sim.studies import candidates
-from capture_sim.studies.candidates import Candidate, Dispersions, Evaluator, Requirements
-from capture_sim.studies.coverage import undecided
-from capture_sim.studies.design import (
-    Window,
-    beaten_by,
+from capture_sim.studies.candidates import (
+    Candidate,
+    Dispersions,
+    Evaluator,
+    Requirements,
     costs_of,
-    costs_of_limits,
-    design_buffer,
 )
+from capture_sim.studies.coverage import undecided
+from capture_sim.studies.design import beaten_by, costs_of_limits, design_buffer
 from capture_sim.studies.executors import InProcess, open_executor
 from capture_sim.studies.limits import make_limits, make_objectives
 from capture_sim.studies.outcome import run_to_end
+from capture_sim.studies.search import Window
 from capture_sim.studies.variables import FREE, make_variables, with_values
 
 SERVICER = Path(__file__).parents[2] / "examples" / "servicer.yaml"
@@ -349,11 +350,26 @@ def test_a_buffer_that_lets_go_again_is_no_design(servicer):
     assert any(x.feasible for x in allowed.history if x.left_again)
 
 
+def test_a_row_that_ends_inside_of_the_target_says_so(tmp_path, capsys):
+    """Through an opening twice as wide as the tip nothing holds it: by hand, where it is."""
+    wide = [*COMMAND, "--set=cone.R_c=30 mm", f"--out={tmp_path}"]
+    assert main(wide) == 0
+    kept = json.loads((tmp_path / "design.json").read_text())["rows"][0]
+    scene = load_scene(tmp_path / "design.yaml")
+    until = kept["stays_until"]
+    last = simulate(paths.changed(scene, "run.t_end", until)).samples[-1]
+    assert -last["tip_axial"] > 0.02
+    assert kept["behind"] == pytest.approx(-last["tip_axial"], rel=1e-3)
+    said = f"at {until:g} s the tip is {-last['tip_axial'] * 1e3:.0f} mm behind BE, inside of the"
+    assert said in " ".join(capsys.readouterr().out.split())
+
+
 def test_rows_keep_to_a_window_a_catalogue_and_a_damping_ratio(servicer):
     free = ["damping_ratio=0.1:2", "buffer.k_A=[800, 1 N/mm, 2000]"]
     window = Window("max_axial_stroke_in", 0.006, 0.012)
-    found = design_buffer(servicer, Requirements(TRADED), free, window=window, candidates=150)
+    found = design_buffer(servicer, Requirements(TRADED), free, window=window, candidates=200)
     assert found.rows
+    assert {row.convergence for row in found.rows} == {"budget ended"}  # no second seed had a turn
     for row in found.rows:
         values = row.candidate.values
         assert values["buffer.k_A"] in (800.0, 1000.0, 2000.0)

@@ -1,0 +1,160 @@
+"""The rows of a front, and what each should be known for.
+
+How sharp a row is, until when the tip stays captured, and where it is then; which values are at an
+end of their range, and which loads without a limit have grown.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from capture_sim.scene.parts import Scene
+from capture_sim.studies.candidates import Candidate, Evaluator, Requirements, costs_of
+from capture_sim.studies.dispersion import Probability
+from capture_sim.studies.limits import Measure
+from capture_sim.studies.outcome import CAPTURED, behind_at_end
+from capture_sim.studies.refinement import Goal
+from capture_sim.studies.variables import Variable, with_values
+
+#: A load that is neither limited nor minimised is named from this multiple of the own buffer's on.
+GROWN = 3.0
+#: The loads that are watched for that.
+WATCHED = (
+    *("max_axial_stroke_in", "max_axial_stroke_out", "max_torsion", "max_buffer_force"),
+    *("max_buffer_torque", "max_normal_force"),
+)
+#: By which share each value of a row is changed, to see how sharp the row is.
+SHARP = 0.01
+#: Without a latch, rows are also run to these multiples of t_end.
+LONGER, LONGEST = 3.0, 10.0
+
+CONVERGED, ENDED = "converged", "budget ended"
+
+
+@dataclass(frozen=True)
+class Sharpness:
+    """How sharp a row is: the worst of its runs with one value 1 % larger or smaller."""
+
+    change: float  # of the worst objective, relative
+    excess: float  # of the worst limit, relative; 0 if all are kept
+    not_held: bool  # a run does not capture, or the tip leaves again
+
+
+@dataclass(frozen=True)
+class Row:
+    """A buffer of the front."""
+
+    candidate: Candidate  # at the tolerance of the scene; with draws: quantiles in new draws
+    goal: Goal
+    is_knee: bool = False
+    convergence: str = ENDED
+    check: Probability | None = None  # of success with new draws
+    at_ends: tuple[str, ...] = ()  # values at an end of their range, in words
+    stays: float | None = None  # s: the last of t_end, 3 and 10 t_end with the tip captured
+    sharpness: Sharpness | None = None
+    grown: tuple[tuple[Measure, float], ...] = ()  # loads without a limit, over the own buffer's
+    behind: float = 0.0  # m, of the tip's centre behind BE at the end; 0 within the capture radius
+
+
+def detailed(
+    rows: Sequence[Row],
+    own: Candidate,
+    scene: Scene,
+    requirements: Requirements,
+    variables: Sequence[Variable],
+    evaluators: Mapping[float, Evaluator],
+) -> list[Row]:
+    """Return rows with what they should be known for: ends, sharpness, staying, other loads.
+
+    ``evaluators`` are those of the scene with t_end times a factor, by the factor; 1 is one.
+    """
+    if not rows:
+        return []
+    values = [row.candidate.values for row in rows]
+    stays = _stays(scene, values, evaluators)
+    found = []
+    for row, until in zip(rows, stays, strict=True):
+        at_ends = [
+            f"{each.name} at the {end} end of its range"
+            for each in variables
+            if (end := each.end_at(row.candidate.values[each.name]))
+        ]
+        of_row = lasting(with_values(scene, row.candidate.values), until or scene.run.t_end)
+        found.append(
+            dataclasses.replace(
+                row,
+                at_ends=tuple(at_ends),
+                stays=until,
+                grown=_grown(requirements, row.candidate, own),
+                sharpness=_sharpness(row, requirements, variables, evaluators[1.0]),
+                behind=behind_at_end(of_row),
+            )
+        )
+    return found
+
+
+def lasting(scene: Scene, t_end: float) -> Scene:
+    """Return a scene that runs to a time, s."""
+    return dataclasses.replace(scene, run=dataclasses.replace(scene.run, t_end=t_end))
+
+
+def _stays(
+    scene: Scene, values: Sequence[Mapping[str, float]], evaluators: Mapping[float, Evaluator]
+) -> list[float | None]:
+    """Return until when the tip stays captured: of t_end, 3 and 10 t_end; None with a latch."""
+    if scene.latch is not None:
+        return [None] * len(values)
+    until, holds = [0.0] * len(values), [True] * len(values)
+    for factor, evaluator in evaluators.items():
+        for k, each in enumerate(evaluator.alone(values)):
+            holds[k] &= each.verdict == CAPTURED and not each.left_again
+            if holds[k]:
+                until[k] = factor * scene.run.t_end
+    return list(until)
+
+
+def _grown(
+    requirements: Requirements, found: Candidate, own: Candidate
+) -> tuple[tuple[Measure, float], ...]:
+    """Return the loads without a limit that are far beyond those of the own buffer."""
+    known = {each.key for each in (*requirements.objectives, *requirements.limits)}
+    grown = []
+    for key in WATCHED:
+        if key in known:
+            continue
+        value, before = found.loads[key], own.loads[key]
+        if before > 0.0 and value / before >= GROWN:
+            grown.append((Measure(key), value / before))
+    return tuple(grown)
+
+
+def _sharpness(
+    row: Row, requirements: Requirements, variables: Sequence[Variable], exact: Evaluator
+) -> Sharpness | None:
+    """Return the worst of the runs with one value 1 % larger or smaller; None with draws."""
+    if row.check is not None or requirements.area:
+        return None
+    values = row.candidate.values
+    moved = [
+        {**values, each.name: values[each.name] * factor}
+        for each in variables
+        for factor in (1.0 - SHARP, 1.0 + SHARP)
+        if values[each.name]
+    ]
+    found = exact.alone(moved) if moved else []
+    held = [x for x in found if x.verdict == CAPTURED]
+    held = [x for x in held if requirements.allow_leaving or not x.left_again]
+    if not held:
+        return Sharpness(math.nan, math.nan, not_held=bool(found))
+    before = np.array(row.candidate.costs(requirements.objectives))
+    change = float(np.expm1((costs_of(held, requirements.objectives) - before).max()))
+    excess = max(
+        (each.use(x.loads[each.key]) - 1.0 for each in requirements.limits for x in held),
+        default=0.0,
+    )
+    return Sharpness(change, max(excess, 0.0), not_held=len(held) < len(found))

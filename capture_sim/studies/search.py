@@ -1,0 +1,522 @@
+"""The search for the rows of a front: coverage, refinement, a second seed; then with draws.
+
+:mod:`capture_sim.studies.design` describes the steps.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from capture_sim.scene.parts import Scene
+from capture_sim.studies.candidates import Archive, Candidate, Evaluator, Requirements, costs_of
+from capture_sim.studies.coverage import cover, undecided
+from capture_sim.studies.dispersion import Probability
+from capture_sim.studies.front import knee, layers, rows_of
+from capture_sim.studies.limit_costs import ACTIVE
+from capture_sim.studies.outcome import CAPTURED
+from capture_sim.studies.refinement import Goal, Points, refine
+from capture_sim.studies.rows import CONVERGED, ENDED, LONGER, LONGEST, Row, detailed, lasting
+from capture_sim.studies.sweep import RTOL
+from capture_sim.studies.variables import Variable, fields_of, own_value, with_values
+
+#: Rows of a front unless the budget is small, and the candidates that a row needs.
+_ROWS, _FEWEST_ROWS, _RUNS_OF_ROW = 7, 3, 800
+#: Most candidates of the coverage and its share of the budget; a second seed has half of them.
+_COVERAGE, _COVERAGE_SHARE = 800, 0.25
+#: Candidates of a pass over a row; a pass of fewer is not followed by a second seed.
+_PASS, _SHORT_PASS = 200, 50
+#: Passes over all rows, at most; passes from the points of both seeds.
+_PASSES, _MORE_PASSES = 3, 2
+#: Share of the budget without dispersions, where there are some; of the costs of limits.
+_ALONE, RESERVE = 0.3, 0.12
+#: Under dispersions: rounds, each with twice the draws.
+_ROUNDS = 3
+#: By which share the search's limits are smaller.
+_TIGHTER = 1e-5
+#: A row has converged if its last pass gains less, and a second seed is no further away.
+GAINED, AGREES = 1e-3, 5e-3
+#: Weight of the held objectives of a row, so that of equal buffers the better is found; at an end
+#: of the front that of the other objectives.
+_WEIGHT, _WEIGHT_AT_END = 1e-3, 0.02
+#: Most wider ranges of a value.
+_WIDENINGS = 3
+#: Candidates that are run at the scene's tolerance for a row, at most.
+_CONFIRMED = 6
+
+
+@dataclass(frozen=True)
+class Window:
+    """The values of an objective over which the rows are spaced, SI."""
+
+    key: str
+    low: float
+    high: float
+
+
+def search_scene(scene: Scene) -> Scene:
+    """Return the scene at the tolerance of a search."""
+    run = dataclasses.replace(scene.run, rtol=max(scene.run.rtol, RTOL))
+    return dataclasses.replace(scene, run=run)
+
+
+def search_requirements(requirements: Requirements) -> Requirements:
+    """Return the requirements that a search keeps: their limits a little smaller."""
+    return requirements.tightened(_TIGHTER)
+
+
+class Search:
+    """The search for one design, and its history."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        requirements: Requirements,
+        variables: tuple[Variable, ...],
+        window: Window | None,
+        seed: int,
+        executor: Executor,
+        report: Callable[[Candidate], None] | None,
+        archive: Archive | None,
+    ) -> None:
+        self._scene, self._requirements, self._window = scene, requirements, window
+        self._objectives = requirements.objectives
+        self.variables, self._seed = variables, seed
+        archive = archive or Archive()
+        self.archive = archive
+        self._coarse = Evaluator(
+            *(search_scene(scene), search_requirements(requirements), seed, executor, report),
+            archive,
+        )
+        self._longer = {
+            factor: Evaluator(
+                *(
+                    lasting(scene, factor * scene.run.t_end),
+                    requirements,
+                    seed,
+                    executor,
+                    None,
+                    archive,
+                ),
+                kind=f"exact, {factor:g} t_end",
+            )
+            for factor in (1.0, LONGER, LONGEST)
+        }
+        self._exact = self._longer[1.0]
+        self._own = {each.name: own_value(scene, each.name) for each in variables}
+        self._left = 0  # candidates of the stage
+        self.points = Points(variables, self._objectives)
+        self._goals: list[Goal] = []
+        self._words: list[str] = []
+        #: The rows of the last round under dispersions, with their check.
+        self.checked: list[tuple[Candidate, Probability]] = []
+
+    @property
+    def history(self) -> list[Candidate]:
+        """The candidates so far, in order."""
+        return self._coarse.history
+
+    def own(self, *, with_draws: bool) -> Candidate:
+        """Return the scene's own buffer as a candidate."""
+        found = self._exact.alone([self._own])
+        if self._requirements.under is not None and with_draws:
+            found = [each for each, _ in self._coarse.check(found, 1)]
+        return found[0]
+
+    def alone(self, budget: int) -> str:
+        """Search without dispersions; return why the search ended before a front; else nothing."""
+        is_first_of_two = self._requirements.under is not None
+        self._left = int(budget * (_ALONE if is_first_of_two else 1.0 - RESERVE))
+        begin = self._earlier()
+        if all(each.has(self._own[each.name]) for each in self.variables):
+            # so that the front is no worse than the scene's own buffer
+            begin = [self._own, *begin]
+        return self._stage(self._coarse.alone, begin, brief=is_first_of_two)
+
+    def with_draws(self, budget: int) -> list[Row]:
+        """Return buffers under dispersions that pass the check with new draws."""
+        alone = self.points
+        start = [alone.candidates[k].values for k in _promising(alone, self._requirements)]
+        rest = budget - len(self.history)
+        for number in range(_ROUNDS):
+            draws = self._coarse.draws(self._requirements.draws * 2**number, 2 * number)
+            # the first round has two thirds, the next two thirds of the rest
+            self._left = int(rest * (2 / 3 if number < _ROUNDS - 1 else 1.0))
+            rest -= self._left
+            if self._left < 1:
+                break
+            self._stage(partial(self._coarse.with_draws, draws), start)
+            best = [self.points.best(goal, 1, feasible=True) for goal in self._goals]
+            shown = [k for k, each in enumerate(best) if each]
+            if shown:
+                self.checked = self._coarse.check([best[k][0] for k in shown], 2 * number + 1)
+                rows = [
+                    Row(found, self._goals[k], convergence=self._words[k], check=check)
+                    for k, (found, check) in zip(shown, self.checked, strict=True)
+                    if found.feasible
+                ]
+                if rows:
+                    return self._front(rows)
+            # the draws were too kind, or too few: more of them, beginning with the best
+            order = np.argsort(self.points.violations, kind="stable")[:20].tolist()
+            start = [self.points.candidates[k].values for k in order]
+        return []
+
+    def confirmed(self, *, interrupted: bool) -> list[Row]:
+        """Return the best buffer of each goal at the tolerance of the scene."""
+        if interrupted:
+            self._goals = self._make_goals(_FEWEST_ROWS if len(self._objectives) > 1 else 1)
+            self._words = ["interrupted"] * len(self._goals)
+        rows: dict[int, Row] = {}
+        for number in range(_CONFIRMED):
+            tried = {}
+            for k, goal in enumerate(self._goals):
+                best = self.points.best(goal, number + 1, feasible=True)
+                if k not in rows and len(best) > number:
+                    tried[k] = best[number]
+            if not tried:
+                break
+            found = self._exact.alone([each.values for each in tried.values()])
+            for k, exact in zip(tried, found, strict=True):
+                if exact.feasible:
+                    rows[k] = Row(exact, self._goals[k], convergence=self._words[k])
+        return self._front([rows[k] for k in sorted(rows)])
+
+    def _stage(
+        self,
+        evaluate: Callable[[Sequence[Mapping[str, float]]], list[Candidate]],
+        begin: Sequence[Mapping[str, float]],
+        *,
+        brief: bool = False,
+    ) -> str:
+        """Cover the ranges and refine the rows; return why there is nothing to search, if so."""
+
+        def within_budget(values: Sequence[Mapping[str, float]]) -> list[Candidate]:
+            asked = values[: max(self._left, 0)]
+            self._left -= len(asked)
+            return evaluate(asked) if asked else []
+
+        points = self.points = Points(self.variables, self._objectives)
+        runs = min(_COVERAGE, int(_COVERAGE_SHARE * self._left))
+        places = [[each.share(x[each.name]) for each in self.variables] for x in begin]
+        for number, found in enumerate(cover(points, within_budget, runs, self._seed, places)):
+            is_whole = number == 0 and all(each.is_whole for each in self.variables)
+            if is_whole and (reason := undecided(found, self._objectives)):
+                return reason
+        count = 1
+        if len(self._objectives) > 1:
+            count = min(max(self._left // _RUNS_OF_ROW, _FEWEST_ROWS), _ROWS)
+        of_second = 0 if brief else runs // 2
+        n_ends = 0 if self._window is not None else 2
+        per_pass = int((self._left - of_second) / (count * 4.2 + n_ends))
+        if per_pass < _SHORT_PASS:
+            of_second, per_pass = 0, int(self._left / (count * 2.0 + 1.0))
+        per_pass = max(min(per_pass, _PASS if count > 1 else 2 * _PASS), 4)
+        is_whole_front = count > 1 and self._window is None
+        if is_whole_front or not points.violations.size or points.violations.min() > 0.0:
+            # the ends first: the other rows lie between
+            refine(self._ends(), points, within_budget, per_pass)
+        self._goals = self._make_goals(count)
+        self._words = [ENDED] * len(self._goals)
+        if points.violations.min() > 0.0:
+            return ""  # none is feasible
+        gains = self._passes(within_budget, per_pass, of_second)
+        if of_second and gains is not None:
+            self._compare(within_budget, per_pass, of_second, gains)
+        return ""
+
+    def _passes(
+        self,
+        evaluate: Callable[[Sequence[Mapping[str, float]]], list[Candidate]],
+        per_pass: int,
+        of_second: int,
+    ) -> np.ndarray | None:
+        """Refine all rows; return the gain of each in its last pass, None if the budget ended."""
+        kept = of_second + 2 * len(self._goals) * per_pass if of_second else 0
+        gains, values = None, self.points.best_values(self._goals)
+        for number in range(_PASSES):
+            if self._left - kept < 0.9 * len(self._goals) * per_pass:
+                return gains
+            rng = None if number % 2 == 0 else np.random.default_rng([self._seed, number])
+            if not refine(self._goals, self.points, evaluate, per_pass, rng):
+                return None
+            now = self.points.best_values(self._goals)
+            gains, values = values - now, now
+            if number < _WIDENINGS and self._widen():
+                continue
+            if number and gains.max() <= GAINED:
+                break
+        return gains
+
+    def _compare(
+        self,
+        evaluate: Callable[[Sequence[Mapping[str, float]]], list[Candidate]],
+        per_pass: int,
+        of_second: int,
+        gains: np.ndarray,
+    ) -> None:
+        """Search with a second seed, keep what is better, and say how far both agree.
+
+        Where they disagree, the worse is refined once more on its own, without the other's points:
+        a gap that is left is one between basins, or the budget's.  What is then left of the budget
+        refines these rows, and those that still gain, from the points of both.
+        """
+        goals, rng = self._goals, np.random.default_rng([self._seed, 99])
+        other = Points(self.variables, self._objectives)
+        for _ in cover(other, evaluate, of_second, self._seed + 7919):
+            pass
+        if not len(other.candidates) or not refine(goals, other, evaluate, per_pass, rng):
+            return
+        gains = gains.copy()
+        first, second = self.points.best_values(goals), other.best_values(goals)
+        open_rows = self._rows_of_budget(np.abs(first - second), AGREES, per_pass)
+        for points, behind in ((self.points, first > second), (other, first < second)):
+            if chosen := [k for k in open_rows if behind[k]]:
+                refine([goals[k] for k in chosen], points, evaluate, per_pass, rng)
+        first, now = self.points.best_values(goals), other.best_values(goals)
+        gains = np.where(now < first, second - now, gains)
+        apart = np.abs(first - now)
+        self.points.add(other.candidates)
+        for _ in range(_MORE_PASSES):
+            before = self.points.best_values(goals)
+            doubt = np.maximum(np.where(apart > AGREES, apart, 0.0), gains)
+            chosen = self._rows_of_budget(doubt, GAINED, per_pass)
+            if not chosen:
+                break
+            refine([goals[k] for k in chosen], self.points, evaluate, per_pass, rng)
+            gains[chosen] = (before - self.points.best_values(goals))[chosen]
+        self._words = []
+        for gain, difference in zip(gains, apart, strict=True):
+            agrees = difference <= AGREES and gain <= GAINED
+            words = f"within {_rounded_up(float(difference))} of a second seed"
+            self._words.append(CONVERGED if agrees else words)
+
+    def _rows_of_budget(self, doubts: np.ndarray, allowed: float, per_pass: int) -> list[int]:
+        """Return the rows with the largest doubts above what is allowed, as the budget has room."""
+        room = int(self._left / (0.95 * per_pass))
+        asked = [k for k in np.argsort(-doubts, kind="stable").tolist() if doubts[k] > allowed]
+        return sorted(asked[:room])
+
+    def _widen(self) -> bool:
+        """Widen ranges with an optimum at their end and no active limit; return whether any."""
+        limits = self._requirements.limits
+        wider = list(self.variables)
+        ends = self._ends() if len(self._objectives) > 1 else []
+        for goal in self._goals:
+            best = self.points.best(goal, 1)[0]
+            is_limited = any(each.use(best.loads[each.key]) >= ACTIVE for each in limits)
+            if goal in ends or is_limited or not best.feasible:
+                continue
+            for k, variable in enumerate(self.variables):
+                end = variable.end_at(best.values[variable.name])
+                if end and variable.may_widen(end):
+                    wider[k] = variable.widened(end)
+        if wider == list(self.variables):
+            return False
+        self.variables = tuple(wider)
+        points = Points(self.variables, self._objectives)
+        points.add(self.points.candidates)
+        self.points = points
+        return True
+
+    def _ends(self) -> list[Goal]:
+        """Return the goals of the ends of the front."""
+        count = len(self._objectives)
+        none = (math.inf,) * count
+        return [
+            Goal(tuple(1.0 if k == n else _WEIGHT_AT_END for k in range(count)), none)
+            for n in range(count)
+        ]
+
+    def _make_goals(self, count: int) -> list[Goal]:
+        """Return the goals of so many rows, in the order of the held objective."""
+        feasible = np.flatnonzero(self.points.violations <= 0.0)
+        costs = self.points.costs[feasible]
+        if len(self._objectives) == 1:
+            return [Goal((1.0,), (math.inf,))]
+        if not len(costs):
+            return self._ends()
+        front = costs[layers(costs)[0]]
+        at_knee = front[knee(front)]
+        if len(self._objectives) > 2 or count < 3:
+            shown = front[rows_of(front, count, [knee(front)])]
+            last = len(self._objectives) - 1
+            inner = [
+                Goal(_weights(last, last + 1), (*(point[:-1] - _TIGHTER), math.inf))
+                for point in shown
+                if self._window is None
+                or _within(point[self._held], *self._window_costs(), _TIGHTER)
+            ]
+            return inner if self._window is not None else [*self._ends(), *inner]
+        held = self._held
+        ends = self._ends()
+        low, high = front[:, held].min(), front[front[:, 1 - held].argmin(), held]
+        if self._window is not None:
+            low, high = self._window_costs()
+            levels = np.linspace(low, high, count)
+        else:
+            levels = np.linspace(low, high, count)[1:-1]
+        marked = [float(at_knee[held])]
+        own = self._exact.alone([self._own])[0]
+        if own.feasible:
+            marked.append(own.costs(self._objectives)[held])
+        for level in marked:
+            if levels.size > 2 and levels[0] < level < levels[-1]:
+                inner_levels = np.abs(levels - level)
+                if self._window is not None:
+                    inner_levels[[0, -1]] = math.inf  # the ends of a window stay
+                levels[inner_levels.argmin()] = level
+        goals = []
+        for level in np.sort(levels):
+            ceilings = [math.inf, math.inf]
+            ceilings[held] = float(level) - _TIGHTER
+            goals.append(Goal(_weights(1 - held, 2), tuple(ceilings)))
+        return goals if self._window is not None else [ends[held], *goals, ends[1 - held]]
+
+    @property
+    def _held(self) -> int:
+        """Index of the objective over which rows are spaced."""
+        if self._window is None:
+            return 0
+        return [each.key for each in self._objectives].index(self._window.key)
+
+    def _window_costs(self) -> tuple[float, float]:
+        assert self._window is not None
+        measure = self._objectives[self._held]
+        low, high = sorted((measure.cost(self._window.low), measure.cost(self._window.high)))
+        return low, high
+
+    def _front(self, rows: Sequence[Row]) -> list[Row]:
+        """Return the rows of which no other is better in all objectives, in order."""
+        if not rows:
+            return []
+        costs = costs_of([row.candidate for row in rows], self._objectives)
+        chosen = layers(costs)[0].tolist()
+        if self._window is not None:
+            low, high = self._window_costs()
+            held = costs[:, self._held]
+            chosen = [k for k in chosen if held[k] <= high]
+            if not any(low - 1e-3 <= held[k] for k in chosen):
+                return []
+        return [rows[k] for k in sorted(chosen, key=lambda k: tuple(costs[k]))]
+
+    def _earlier(self) -> list[dict[str, float]]:
+        """Return the buffers of an earlier design that are best here, apart in what they trade."""
+        names = [each.name for each in self.variables]
+        found = []
+        for known, values in self.archive.earlier:
+            fields = {**fields_of(self._scene, self._own), **dict(zip(known, values, strict=True))}
+            scene = with_values(self._scene, {n: fields[n] for n in known})
+            mine = {name: own_value(scene, name) for name in names}
+            if all(each.has(mine[each.name]) for each in self.variables):
+                found.append(mine)
+        if not found:
+            return []
+        points = Points(self.variables, self._objectives)
+        points.add(self._coarse.under(search_requirements(self._requirements)).alone(found))
+        order = np.argsort(points.violations, kind="stable")
+        feasible = np.flatnonzero(points.violations <= 0.0)
+        if feasible.size:
+            first = feasible[layers(points.costs[feasible])[0]]
+            order = np.array([*first, *(k for k in order if k not in set(first.tolist()))])
+        return [dict(points.candidates[k].values) for k in order[:_COVERAGE].tolist()]
+
+    def detailed(self, rows: Sequence[Row], own: Candidate) -> list[Row]:
+        """Return rows with what they should be known for."""
+        of_scene = self._scene, self._requirements, self.variables
+        return detailed(rows, own, *of_scene, self._longer)
+
+    def refusal(self, rows: Sequence[Row]) -> str:
+        """Return why there is no buffer; empty if there is one."""
+        if rows:
+            return ""
+        searched = ", ".join(
+            f"{each.name} {', '.join(f'{x:.4g}' for x in each.choices)}"
+            if each.choices
+            else f"{each.name} {each.low:.4g} to {each.high:.4g}"
+            for each in self.variables
+        )
+        among = f"among {len(self.history)} buffers tried ({searched})"
+        if not self.history:
+            return "interrupted before the first buffers were run"
+        feasible = [each for each in self.history if each.feasible]
+        if self._window is not None and feasible and not self.checked:
+            measure = self._objectives[self._held]
+            values = [each.loads[measure.key] for each in feasible]
+            return (
+                f"--window {measure.key}: {measure.shown(self._window.low)} to "
+                f"{measure.shown(self._window.high)} {measure.load.shown_in} is not reached by the "
+                f"front; feasible buffers {among} have {measure.shown(min(values))} to "
+                f"{measure.shown(max(values))} {measure.load.shown_in}"
+            )
+        with_draws = [each for each in self.history if each.share is not None]
+        best = min(with_draws or self.history, key=lambda each: each.violation)
+        values_text = _values_text(best)
+        required = f"{self._requirements.confidence:.0%}"
+        if self.checked:
+            best, check = max(self.checked, key=lambda each: each[1].estimate)
+            return (
+                f"the best {among}, {_values_text(best)}, is captured within the limits in "
+                f"{check.met} of {check.computed} new draws; {required} are required"
+            )
+        if best.share is not None:
+            return (
+                f"{among}, none is captured within the limits in {required} of the draws; the "
+                f"nearest, {values_text}, is in {best.share:.1%}"
+            )
+        if best.verdict != CAPTURED:
+            return f"{among}, none captures; the nearest, {values_text}, ends {best.verdict}"
+        if best.left_again and not self._requirements.allow_leaving:
+            return (
+                f"{among}, none is still captured at {self._scene.run.t_end:g} s; the nearest, "
+                f"{values_text}, has left again (a latch would hold it; --allow-leaving)"
+            )
+        excess = ", ".join(
+            f"{limit.meaning} {limit.shown(best.loads[limit.key])} {limit.load.shown_in} (limit "
+            f"{limit.shown(limit.value)})"
+            for limit in self._requirements.limits
+            if limit.is_exceeded(best.loads[limit.key])
+        )
+        if not excess:
+            least = self._requirements.least_range
+            excess = f"a capture range of {best.captured_share:.1%} ({least:.1%} required)"
+        return f"{among}, none captures within the limits; the nearest, {values_text}, has {excess}"
+
+
+def _values_text(candidate: Candidate) -> str:
+    return ", ".join(f"{name} = {value:.5g}" for name, value in candidate.values.items())
+
+
+def _weights(minimised: int, count: int) -> tuple[float, ...]:
+    return tuple(1.0 if k == minimised else _WEIGHT for k in range(count))
+
+
+def _within(value: float, low: float, high: float, room: float) -> bool:
+    return low - room <= value <= high + room
+
+
+def _rounded_up(share: float) -> str:
+    """Return a share in per cent with one digit, rounded up."""
+    return f"{math.ceil(share * 1000.0) / 10.0:.1f} %"
+
+
+def _promising(points: Points, requirements: Requirements) -> list[int]:
+    """Return the points to begin with under dispersions: the best, and those with much margin."""
+    feasible = np.flatnonzero(points.violations <= 0.0)
+    if not feasible.size:
+        return []
+    front = feasible[layers(points.costs[feasible])[0]].tolist()
+
+    def largest_use(k: int) -> float:
+        loads = points.candidates[k].loads
+        return max((each.use(loads[each.key]) for each in requirements.limits), default=0.0)
+
+    by_margin = sorted(feasible.tolist(), key=largest_use)
+    chosen = [front[k] for k in rows_of(points.costs[front], 20)]
+    return list(dict.fromkeys([*chosen, *by_margin[:20]]))
