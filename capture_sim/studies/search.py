@@ -31,9 +31,9 @@ _ROWS, _FEWEST_ROWS, _RUNS_OF_ROW = 7, 3, 800
 #: Most candidates of the coverage and its share of the budget; a second seed has half of them.
 _COVERAGE, _COVERAGE_SHARE = 800, 0.25
 #: Candidates of a pass over a row; a pass of fewer is not followed by a second seed.
-_PASS, _SHORT_PASS = 200, 50
+_PASS, _SHORT_PASS = 200, 100
 #: Passes over all rows, at most; passes from the points of both seeds.
-_PASSES, _MORE_PASSES = 3, 2
+_PASSES, _MORE_PASSES = 3, 4
 #: Share of the budget without dispersions, where there are some; of the costs of limits.
 _ALONE, RESERVE = 0.3, 0.12
 #: Under dispersions: rounds, each with twice the draws.
@@ -265,7 +265,8 @@ class Search:
 
         Where they disagree, the worse is refined once more on its own, without the other's points:
         a gap that is left is one between basins, or the budget's.  What is then left of the budget
-        refines these rows, and those that still gain, from the points of both.
+        refines these rows first, then those that still gain, then the others, from the points of
+        both: two seeds may have stopped at the same kink.
         """
         goals, rng = self._goals, np.random.default_rng([self._seed, 99])
         other = Points(self.variables, self._objectives)
@@ -283,14 +284,17 @@ class Search:
         gains = np.where(now < first, second - now, gains)
         apart = np.abs(first - now)
         self.points.add(other.candidates)
+        is_tried = np.zeros(len(goals), dtype=bool)  # by a pass from the points of both
         for _ in range(_MORE_PASSES):
             before = self.points.best_values(goals)
             doubt = np.maximum(np.where(apart > AGREES, apart, 0.0), gains)
+            doubt += np.where(is_tried, 0.0, 2.0 * GAINED)
             chosen = self._rows_of_budget(doubt, GAINED, per_pass)
             if not chosen:
                 break
             refine([goals[k] for k in chosen], self.points, evaluate, per_pass, rng)
             gains[chosen] = (before - self.points.best_values(goals))[chosen]
+            is_tried[chosen] = True
         self._words = []
         for gain, difference in zip(gains, apart, strict=True):
             agrees = difference <= AGREES and gain <= GAINED
