@@ -2,6 +2,7 @@
 
     python -m benchmarks.design           # half an hour; --scenes 2 for a look
     python -m benchmarks.design fronts    # six designs against the best known, 30 minutes
+    python -m benchmarks.design alone limit   # rows and costs of limits against SciPy alone
 
 Writes the parts of docs/evidence/random_scenes.md and the figures.  A row of a front is compared
 with the best buffer that any call has found at its stroke.  What objectives trade is read
@@ -33,9 +34,10 @@ from capture_sim.scene.approach import Approach, placed
 from capture_sim.scene.launch_plan import travel_to_touch
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.candidates import Candidate, Requirements
-from capture_sim.studies.design import design_buffer
+from capture_sim.studies.design import costs_of_limits, design_buffer
 from capture_sim.studies.executors import InProcess, answers, open_executor
 from capture_sim.studies.front import layers
+from capture_sim.studies.limit_costs import STEPS
 from capture_sim.studies.limits import (
     LOAD_KEYS,
     Limit,
@@ -52,7 +54,7 @@ from capture_sim.studies.paper_flow import (
 from capture_sim.studies.rows import Row
 from capture_sim.studies.search import Window
 from capture_sim.studies.sweep import RTOL, Recipe, result_columns, run_rows
-from capture_sim.studies.variables import FREE, make_variables
+from capture_sim.studies.variables import FREE, make_variables, with_values
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.studies import draw_first_contact_design
 
@@ -269,6 +271,94 @@ def fronts(asked: Namespace, _: Path) -> list[str]:
     return [table(head, rows)]
 
 
+#: Strokes, m, at which SciPy searches on its own, and a limit of the stroke whose cost it finds.
+_ALONE_AT, _COST_AT = (0.0033, 0.0074), 0.006
+
+
+def by_scipy(scene: Scene, free: Sequence[str], stroke: float, seed: int) -> tuple[float, int]:
+    """Return the least force, N, within a stroke, m, that SciPy alone finds, and its runs.
+
+    Differential evolution over the search ranges, then Nelder-Mead from its best point and from
+    three around it: the logarithm of the force, with a penalty for what is exceeded.
+    """
+    from scipy.optimize import differential_evolution, minimize
+
+    variables = make_variables(scene, make_limits({"max_axial_stroke_in": _COST_AT}), free)
+    coarse = replace(scene, run=replace(scene.run, rtol=RTOL))
+    runs, least = 0, math.inf
+
+    def cost(shares: np.ndarray) -> float:
+        nonlocal runs, least
+        runs += 1
+        values = {
+            each.name: each.value(float(min(max(share, 0.0), 1.0)))
+            for each, share in zip(variables, shares, strict=True)
+        }
+        found = run_to_end(with_values(coarse, values))
+        if not found.captured or found.left_again:
+            return 30.0
+        force, own = found.loads["max_buffer_force"], found.loads["max_axial_stroke_in"]
+        if own <= stroke:
+            least = min(least, force)
+        return math.log(force) + 10.0 * max(0.0, math.log(own / stroke))
+
+    wide = differential_evolution(
+        cost, [(0.0, 1.0)] * len(variables), maxiter=40, popsize=12, seed=seed, polish=False
+    )
+    points = [wide.x, *np.random.default_rng(seed).normal(wide.x, 0.05, (3, wide.x.size))]
+    for point in points:
+        best = np.clip(point, 0.0, 1.0)
+        for size in (0.05, 0.01, 0.002):
+            corners = np.vstack([best, *(best + size * row for row in np.eye(best.size))])
+            options = {"initial_simplex": corners, "maxfev": 150, "xatol": 1e-7, "fatol": 1e-9}
+            best = minimize(cost, best, method="Nelder-Mead", options=options).x
+    return least, runs
+
+
+def alone(asked: Namespace, _: Path) -> list[str]:
+    """Rows of tilt_p10 against SciPy alone, which has none of the search's code."""
+    scene = load_scene("tilt_p10")
+    known = json.loads(BEST.read_text())
+    rows = []
+    for stroke in _ALONE_AT:
+        front = np.array(known["tilt_p10"])
+        best = float(front[front[:, 0] <= stroke * (1.0 + 1e-5), 1].min())
+        found = [by_scipy(scene, FREE, stroke, seed) for seed in range(asked.seeds)]
+        least = min(force for force, _ in found)
+        each = ", ".join(f"{force:.4f}" for force, _ in found)
+        runs = f"{sum(n for _, n in found)}"
+        rows.append(
+            [f"{stroke * 1e3:.1f} mm", f"{best:.4f}", each, runs, f"{best / least - 1:+.2%}"]
+        )
+    head = ["stroke", "best known, N", "SciPy alone, N, by seed", "its runs"]
+    return [table([*head, "best known against SciPy's best"], rows)]
+
+
+def limit(asked: Namespace, _: Path) -> list[str]:
+    """What 1 and 5 per cent more of a limit bring, against optimisations by SciPy alone."""
+    scene, free = load_scene("tilt_p10"), ("buffer.k_A", "buffer.c_A")
+    requirements = Requirements(
+        make_objectives(["max_buffer_force"]), make_limits({"max_axial_stroke_in": _COST_AT})
+    )
+    rows = []
+    by_step = {}
+    for step in (0.0, *STEPS):
+        found = [by_scipy(scene, free, _COST_AT * (1.0 + step), seed) for seed in range(3)]
+        by_step[step] = min(force for force, _ in found)
+    for seed in range(asked.search_seed, asked.search_seed + asked.seeds):
+        design = design_buffer(scene, requirements, free, seed=seed)
+        (cost,) = costs_of_limits(design, design.rows[0], seed=seed)
+        cells = [str(seed)]
+        for step, (change,) in zip(STEPS, cost.changes, strict=True):
+            dense = by_step[step] / by_step[0.0] - 1.0
+            cells += [f"{change.value:+.3%} +- {change.error:.3%}", f"{dense:+.3%}"]
+        rows.append(cells)
+    head = ["seed"]
+    for step in STEPS:
+        head += [f"{step:.0%} more", "SciPy alone"]
+    return [table(head, rows)]
+
+
 def objectives(asked: Namespace, _: Path) -> list[str]:
     """What different objectives trade, by the grids: within the own strokes and torsion."""
     pairs = [
@@ -404,12 +494,14 @@ if __name__ == "__main__":
         {
             "paper": paper,
             "fronts": fronts,
+            "alone": alone,
+            "limit": limit,
             "objectives": objectives,
             "same": same,
             "first_contact": first_contact,
         },
         scenes=(8, "random scenes"),
-        untimed=("paper", "objectives", "same", "first_contact"),
+        untimed=("paper", "alone", "limit", "objectives", "same", "first_contact"),
         seed=(7, "of the random scenes"),
         search_seed=(1, "of the searches"),
         seeds=(3, "number of searches of a case"),
