@@ -28,8 +28,11 @@ _LIVE_RATES = (0.8, 1.25)
 #: A bench's stamps may advance at another rate, as tests and paced replays have it: beyond this
 #: rate arrivals say nothing.
 _MOST_RATE = 10.0
-#: Messages before and after a step of a clock that show it.
-_N_STEPPED = 7
+#: Messages before and after a step of a clock that show it, and how long at most they are used, s
+#: (arrival): longer than transports hold messages back.
+_N_STEPPED, _STEP_WINDOW = 7, 5.0
+#: The fastest message on either side is this one, as the first ones may have wild stamps.
+_FASTEST = 3
 #: Share of repeated stamps that is reported, and that leaves no series.
 _FEW, _MOST = 0.02, 0.5
 #: A clock since boot is below this, s; a wall clock above.
@@ -173,8 +176,8 @@ def clock_offset(motion: Motion) -> Iterator[Said]:
 @rule(
     "clock_steps",
     Grade.REFUSED,
-    compares=f"stamp less arrival of {_N_STEPPED} messages after a jump of the stamps with those "
-    "before",
+    compares="stamp less arrival of the fastest messages in the "
+    f"{_STEP_WINDOW:g} s after a jump of the stamps with those before",
     threshold=f"> {MAX_OFFSET} s",
     reason="as clocks_apart; late or lost messages make no step, and of one wild stamp the next "
     "ones know nothing",
@@ -182,7 +185,11 @@ def clock_offset(motion: Motion) -> Iterator[Said]:
 def clock_steps(motion: Motion) -> Iterator[Said]:
     """A source whose clock was set."""
     for channel, rate in _timed(motion):
-        if (step := _step(channel, rate)) != 0.0:
+        step, other = _step(channel, rate), _rate_between_ends(channel)
+        if step != 0.0 and not _LIVE_RATES[0] <= other / rate <= _LIVE_RATES[1]:
+            # long pauses of a transport spoil one estimate of the rate, and long steps the other
+            step = step if step * _step(channel, other) > 0.0 else 0.0
+        if step != 0.0:
             yield Said(
                 channel.topic,
                 f"clock stepped by {step:+.3g} s: must be within {MAX_OFFSET} s; keep the driver's "
@@ -190,19 +197,36 @@ def clock_steps(motion: Motion) -> Iterator[Said]:
             )
 
 
+def _rate_between_ends(channel: Channel) -> float:
+    waited = float(channel.arrival.max() - channel.arrival.min())
+    return float(channel.t.max() - channel.t.min()) / waited if waited > 0.0 else 0.0
+
+
 def _step(channel: Channel, rate: float) -> float:
     """Return by how much a source's clock was set, s; 0 if it was not."""
     advance = np.diff(channel.t)
     jump = advance - rate * np.diff(channel.arrival)
     jumped = (jump > MAX_OFFSET) | ((jump < -MAX_OFFSET) & (advance < 0.0))
-    offset = channel.t - rate * channel.arrival
+    offset, arrival = channel.t - rate * channel.arrival, channel.arrival
+    index = np.arange(channel.count)
     for k in np.flatnonzero(jumped) + 1:
-        if _N_STEPPED <= k <= channel.count - _N_STEPPED:
-            after, before = offset[k : k + _N_STEPPED], offset[k - _N_STEPPED : k]
-            step = float(np.median(after) - np.median(before))
-            if abs(step) > MAX_OFFSET and step * jump[k - 1] > 0.0:
-                return step
+        before = (index < k) & (arrival >= arrival[k - 1] - _STEP_WINDOW)
+        after = (index >= k) & (arrival <= arrival[k] + _STEP_WINDOW)
+        if not all(_runs(channel, side, rate) for side in (before, after)):
+            continue
+        # what was held back and comes at once, or overtakes, is slow: the fastest are as before
+        step = float(np.sort(offset[after])[-_FASTEST] - np.sort(offset[before])[-_FASTEST])
+        if abs(step) > MAX_OFFSET and step * jump[k - 1] > 0.0:
+            return step
     return 0.0
+
+
+def _runs(channel: Channel, side: np.ndarray, rate: float) -> bool:
+    """Return True if enough messages arrive as they are stamped, and not all at once."""
+    if side.sum() < _N_STEPPED:
+        return False
+    stamped, waited = np.ptp(channel.t[side]), np.ptp(channel.arrival[side])
+    return bool(rate * waited > 0.5 * stamped)
 
 
 @rule(

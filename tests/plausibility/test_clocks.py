@@ -100,6 +100,8 @@ def test_wild_overtaken_and_late_messages_are_no_step():
     rows[100] = 3600.0, rows[100][1]  # a wild stamp
     rows[200:203] = [(stamp, arrival + 0.4) for stamp, arrival in rows[200:203]]  # overtaken
     rows[300:340] = [(stamp, max(arrival, 3.4)) for stamp, arrival in rows[300:340]]  # late
+    rows[299:301] = [rows[299], (rows[298][0] - 0.005, 3.4)]  # the first late one was overtaken
+    del rows[310:335]  # lost within what comes late
     live = LiveMeasurements(10.0)
     for k, (stamp, arrival) in enumerate(sorted(rows, key=lambda row: row[1])):
         live.add_buffer("joint_states", round(1e9 * stamp), round(1e9 * arrival), 1e-6 * k, 0.0)
