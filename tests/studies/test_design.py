@@ -356,15 +356,22 @@ def test_a_buffer_that_lets_go_again_is_no_design(servicer):
     left = [x for x in found.history if x.left_again]
     assert left
     assert not any(x.feasible for x in left)
-    for row in found.rows:
-        for until in (3.0, 9.0, 30.0):
-            run = run_to_end(paths.changed(found.scene_of(row.candidate), "run.t_end", until))
-            if until <= row.stays:
-                assert run.captured
-                assert not run.left_again
     again = Requirements(FORCE, limits, allow_leaving=True)
     allowed = design_buffer(scene, again, DAMPER, candidates=100)
     assert any(x.feasible for x in allowed.history if x.left_again)
+    stays = []
+    soft = design_buffer(scene, again, ["buffer.c_A=250:350"], candidates=100)
+    for design in (found, soft):
+        for row in design.rows:
+            by_hand = 0.0
+            for until in (3.0, 9.0, 30.0):
+                run = run_to_end(paths.changed(design.scene_of(row.candidate), "run.t_end", until))
+                if not run.captured or run.left_again:
+                    break
+                by_hand = until
+            assert row.stays == by_hand
+            stays.append(by_hand)
+    assert min(stays) < 30.0
 
 
 def test_a_row_that_ends_inside_of_the_target_says_so(tmp_path, capsys):
