@@ -126,6 +126,8 @@ def _details(design: Design) -> dict[str, _Show]:
 def _stays_text(candidate: Candidate, row: Row | None) -> str:
     if row is None or row.stays is None:
         return "left" if candidate.left_again else ""
+    if not row.stays and row.behind:
+        return "behind BE"
     return f"{row.stays:g}" if row.stays else "left"
 
 
@@ -158,10 +160,9 @@ def _notes(design: Design) -> list[str]:
             )
             notes.append(f"{where}no limit on {loads}")
         if row.behind:
-            until = row.stays or design.scene.run.t_end
             notes.append(
-                f"{where}at {until:g} s the tip is {row.behind * 1e3:.0f} mm behind BE, inside of "
-                "the target: no scene describes what is there"
+                f"{where}at {row.behind_at:g} s the tip is {row.behind * 1e3:.0f} mm behind BE, "
+                "inside of the target: no scene describes what is there"
             )
     if len(design.rows) > 1 and any(row.at_ends for row in (design.rows[0], design.rows[-1])):
         notes.append("an end of the front is an end of a range, so the knee depends on the ranges")
@@ -323,6 +324,7 @@ def write_front(
             "convergence": row.convergence,
             "stays_until": row.stays,
             "behind": row.behind,
+            "behind_at": row.behind_at,
             "at_ends": row.at_ends,
             "sharpness": row.sharpness and _without_nan(dataclasses.asdict(row.sharpness)),
             "grown": {each.key: factor for each, factor in row.grown},

@@ -10,6 +10,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -55,10 +56,11 @@ class Row:
     convergence: str = ENDED
     check: Probability | None = None  # of success with new draws
     at_ends: tuple[str, ...] = ()  # values at an end of their range, in words
-    stays: float | None = None  # s: the last of t_end, 3 and 10 t_end with the tip captured
+    stays: float | None = None  # s: the last of t_end, 3 and 10 t_end with the tip at BE
     sharpness: Sharpness | None = None
     grown: tuple[tuple[Measure, float], ...] = ()  # loads without a limit, over the own buffer's
-    behind: float = 0.0  # m, of the tip's centre behind BE at the end; 0 within the capture radius
+    behind: float = 0.0  # m, of the tip's centre behind BE; 0 within the capture radius
+    behind_at: float = 0.0  # s: the first of these times at which it is behind
 
 
 def detailed(
@@ -76,23 +78,22 @@ def detailed(
     if not rows:
         return []
     values = [row.candidate.values for row in rows]
-    stays = _stays(scene, values, evaluators)
     found = []
-    for row, until in zip(rows, stays, strict=True):
+    for row, place in zip(rows, _places(scene, values, evaluators), strict=True):
         at_ends = [
             f"{each.name} at the {end} end of its range"
             for each in variables
             if (end := each.end_at(row.candidate.values[each.name]))
         ]
-        of_row = lasting(with_values(scene, row.candidate.values), until or scene.run.t_end)
         found.append(
             dataclasses.replace(
                 row,
                 at_ends=tuple(at_ends),
-                stays=until,
+                stays=None if scene.latch is not None else place.until,
                 grown=_grown(requirements, row.candidate, own),
                 sharpness=_sharpness(row, requirements, variables, evaluators[1.0]),
-                behind=behind_at_end(of_row),
+                behind=place.behind,
+                behind_at=place.behind_at,
             )
         )
     return found
@@ -103,19 +104,36 @@ def lasting(scene: Scene, t_end: float) -> Scene:
     return dataclasses.replace(scene, run=dataclasses.replace(scene.run, t_end=t_end))
 
 
-def _stays(
+class _Place(NamedTuple):
+    """Until when a tip stays, s, and how far behind BE it is at the first time that it is, m."""
+
+    until: float = 0.0
+    behind: float = 0.0
+    behind_at: float = 0.0
+
+
+def _places(
     scene: Scene, values: Sequence[Mapping[str, float]], evaluators: Mapping[float, Evaluator]
-) -> list[float | None]:
-    """Return until when the tip stays captured: of t_end, 3 and 10 t_end; None with a latch."""
-    if scene.latch is not None:
-        return [None] * len(values)
-    until, holds = [0.0] * len(values), [True] * len(values)
+) -> list[_Place]:
+    """Return where the tips are at t_end and, without a latch, at 3 and 10 t_end."""
+    places = [_Place()] * len(values)
+    staying = set(range(len(values)))
     for factor, evaluator in evaluators.items():
+        if scene.latch is not None and factor > 1.0:
+            break
+        t_end = factor * scene.run.t_end
         for k, each in enumerate(evaluator.alone(values)):
-            holds[k] &= each.verdict == CAPTURED and not each.left_again
-            if holds[k]:
-                until[k] = factor * scene.run.t_end
-    return list(until)
+            if k not in staying:
+                continue
+            holds = each.verdict == CAPTURED and not each.left_again
+            behind = behind_at_end(lasting(with_values(scene, values[k]), t_end)) if holds else 0.0
+            if holds and not behind:
+                places[k] = _Place(t_end)
+                continue
+            staying.remove(k)
+            if behind:
+                places[k] = places[k]._replace(behind=behind, behind_at=t_end)
+    return places
 
 
 def _grown(

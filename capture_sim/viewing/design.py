@@ -75,7 +75,7 @@ def _title(design: Design, width: int) -> str:
 def _draw_values(axes: Axes, design: Design, picked: int | None) -> None:
     """Draw the free values of the rows as parallel coordinates, each over its own range."""
     variables = design.variables
-    colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(design.rows)))
+    colours = _colours(len(design.rows))
     at = np.arange(len(variables))
     for number, (row, colour) in enumerate(zip(design.rows, colours, strict=True), 1):
         shares = [each.share(row.candidate.values[each.name]) for each in variables]
@@ -96,12 +96,17 @@ def _draw_values(axes: Axes, design: Design, picked: int | None) -> None:
     axes.set_title("values of the rows", fontsize=12)
 
 
+def _colours(count: int) -> np.ndarray:
+    """Return the colours of rows, (count, 4): the same in all panels."""
+    return np.asarray(colormaps["viridis"](np.linspace(0.0, 0.9, count)))
+
+
 def _draw_springs(axes: Axes, design: Design, picked: int | None) -> None:
     """Draw the axial force of the buffer over its stroke until the verdict, of a few rows."""
     last = len(design.rows) - 1
     shown = sorted({0, last, design.knee if picked is None else picked})
     runs = [(f"row {k + 1}" if last else "design", design.rows[k].candidate) for k in shown]
-    colours = (*style.RUNS[: len(runs)], style.PURPLE)
+    colours = (*_colours(last + 1)[shown], style.PURPLE)
     for (name, candidate), colour in zip([*runs, ("own", design.own)], colours, strict=True):
         if candidate.verdict != CAPTURED:
             continue

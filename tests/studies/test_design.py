@@ -28,7 +28,7 @@ from capture_sim.studies.coverage import undecided
 from capture_sim.studies.design import beaten_by, costs_of_limits, design_buffer
 from capture_sim.studies.executors import InProcess, open_executor
 from capture_sim.studies.limits import make_limits, make_objectives
-from capture_sim.studies.outcome import run_to_end
+from capture_sim.studies.outcome import behind_at_end, run_to_end
 from capture_sim.studies.search import Window
 from capture_sim.studies.variables import FREE, make_variables, with_values
 
@@ -365,8 +365,9 @@ def test_a_buffer_that_lets_go_again_is_no_design(servicer):
         for row in design.rows:
             by_hand = 0.0
             for until in (3.0, 9.0, 30.0):
-                run = run_to_end(paths.changed(design.scene_of(row.candidate), "run.t_end", until))
-                if not run.captured or run.left_again:
+                scene_then = paths.changed(design.scene_of(row.candidate), "run.t_end", until)
+                run = run_to_end(scene_then)
+                if not run.captured or run.left_again or behind_at_end(scene_then):
                     break
                 by_hand = until
             assert row.stays == by_hand
@@ -380,11 +381,12 @@ def test_a_row_that_ends_inside_of_the_target_says_so(tmp_path, capsys):
     assert main(wide) == 0
     kept = json.loads((tmp_path / "design.json").read_text())["rows"][0]
     scene = load_scene(tmp_path / "design.yaml")
-    until = kept["stays_until"]
-    last = simulate(paths.changed(scene, "run.t_end", until)).samples[-1]
+    last = simulate(scene).samples[-1]
     assert -last["tip_axial"] > 0.02
+    assert kept["stays_until"] == 0.0
+    assert kept["behind_at"] == 1.0
     assert kept["behind"] == pytest.approx(-last["tip_axial"], rel=1e-3)
-    said = f"at {until:g} s the tip is {-last['tip_axial'] * 1e3:.0f} mm behind BE, inside of the"
+    said = f"at 1 s the tip is {-last['tip_axial'] * 1e3:.0f} mm behind BE, inside of the target"
     assert said in " ".join(capsys.readouterr().out.split())
 
 
