@@ -337,12 +337,13 @@ def _print_touches(a: Side, b: Side, window: float) -> None:
                 _number(start_b - start_a, 3, "+"),
                 *(_number(x, 2) for x in (peak_a, peak_b)),
                 _percent(peak_a, peak_b, 0.01),
-                *(_number(x, 3) for x in (lasted_a, lasted_b, impulse_a, impulse_b)),
-                _percent(impulse_a, impulse_b, 0.001),
+                *(_number(x, 3) for x in (lasted_a, lasted_b)),
+                *(_number(x, 5) for x in (impulse_a, impulse_b)),
+                _percent(impulse_a, impulse_b, 1e-5),
             ]
         )
     head = ["", "A B", "start A, ms", "B", "B - A", "peak A, N", "B", "%", "lasts A, ms", "B"]
-    print_table([*head, "impulse A, mN s", "B", "%"], rows[:SHOWN])
+    print_table([*head, "impulse A, N s", "B", "%"], rows[:SHOWN])
     if len(rows) > SHOWN:
         echo(f"    and {len(rows) - SHOWN} more in the plot")
     for label, touches, other in zip("AB", both, (1, 0), strict=True):
@@ -352,7 +353,7 @@ def _print_touches(a: Side, b: Side, window: float) -> None:
             alone = sum(pair[other] is None for pair in pairs)
             echo(
                 f"  {label}: {number_text}, peak {np.nanmax(touches.peak):.2f} N"
-                + (f", impulse {impulse * 1e3:.3f} mN s" if math.isfinite(impulse) else "")
+                + (f", impulse {impulse:.5f} N s" if math.isfinite(impulse) else "")
                 + (f", {alone} without a partner" if alone else "")
             )
 
@@ -361,10 +362,10 @@ _NO_TOUCH = (" ", math.nan, math.nan, math.nan, math.nan)
 
 
 def _touch_rows(touches: Touches) -> Iterator[tuple[str, float, float, float, float]]:
-    """Yield wall, start (ms), peak (N), duration (ms) and impulse (mN s) of each touch."""
+    """Yield wall, start (ms), peak (N), duration (ms) and impulse (N s) of each touch."""
     signs = [{1: "+", -1: "-"}.get(int(wall), " ") for wall in touches.wall]
-    ms, mNs = touches.start * 1e3, touches.impulse * 1e3
-    yield from zip(signs, ms, touches.peak, touches.lasted * 1e3, mNs, strict=True)
+    ms = touches.start * 1e3
+    yield from zip(signs, ms, touches.peak, touches.lasted * 1e3, touches.impulse, strict=True)
 
 
 def _number(value: float, digits: int, sign: str = "") -> str:
