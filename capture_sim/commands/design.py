@@ -162,6 +162,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="accept a capture that the tip has left again at t_end",
     )
     parser.add_argument(
+        "--hold-at-be",
+        action="store_true",
+        help="require that the tip, which may pass BE, is at t_end no further behind it than the "
+        "capture radius",
+    )
+    parser.add_argument(
         "--stroke-limit",
         type=in_unit("mm"),
         metavar="MM",
@@ -268,6 +274,7 @@ def run(options: argparse.Namespace) -> int:
         make_area(scene, options.approach),
         options.capture_range,
         options.allow_leaving,
+        options.hold_at_be,
     )
     make_variables(scene, given, free)  # before anything runs
     require_pymoo()
@@ -457,6 +464,7 @@ def _check(options: argparse.Namespace) -> None:
         others |= {"--maximize": options.maximize, "--approach": options.approach}
         others |= {"--capture-range": options.capture_range, "--candidates": options.candidates}
         others |= {"--window": options.window, "--allow-leaving": options.allow_leaving}
+        others |= {"--hold-at-be": options.hold_at_be}
         others |= {"--from": options.earlier, "--resume": options.resume}
         others |= {"--calibrated": options.calibrated}
         for name, value in others.items():

@@ -192,6 +192,11 @@ class ExactDetector:
         return float(self._memory["since"][0])
 
     @property
+    def axial(self) -> float:
+        """Position of the tip ahead of BE at the last sample, m."""
+        return float(self._memory["axial"][0])
+
+    @property
     def final(self) -> bool:
         """True if there is a verdict."""
         return self.state.is_verdict

@@ -156,6 +156,15 @@ class Integration:
         """When the detector's last state began, s since the release."""
         return self._detector.since
 
+    @property
+    def behind(self) -> float:
+        """How far behind BE the tip's centre is at the end, m; 0 within the capture radius.
+
+        A tip may pass through BE.  What is behind it, inside of the target, no scene describes.
+        """
+        behind = -self._detector.axial
+        return behind if behind > self.bench.scene.detector.capture_radius else 0.0
+
 
 @lru_cache(maxsize=4)
 def _measured_at(t_end: float, rate: float) -> np.ndarray:

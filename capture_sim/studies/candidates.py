@@ -46,6 +46,8 @@ _FIRST_DRAWS = 0.25
 #: A limit is violated by the logarithm of load over limit, up to the first of these; a capture that
 #: is left, a run without a capture and one that stopped by more, each than all before.
 _MAX_EXCESS, _LEFT, _NO_CAPTURE, _STOPPED = 5.0, 6.0, 12.0, 100.0
+#: What candidates are also asked for.
+_ALSO = ("behind",)
 #: Runs with draws are made only of candidates whose own run violates by less.
 _WORTH_DRAWS = 0.4
 #: Runs over the area are made only of candidates whose own run violates by less; the others count
@@ -88,6 +90,8 @@ class Requirements:
         Least capture range, 0 to 1.
     allow_leaving : bool
         Whether a capture counts that the tip has left again at ``run.t_end``.
+    hold_at_be : bool
+        Whether a tip that is then further behind BE than the capture radius counts as having left.
     """
 
     objectives: tuple[Measure, ...]
@@ -98,6 +102,7 @@ class Requirements:
     area: tuple[Axis, ...] = ()
     least_range: float = 0.0
     allow_leaving: bool = False
+    hold_at_be: bool = False
 
     def __post_init__(self) -> None:
         """Raise SceneError if a capture range is asked for without an area."""
@@ -237,8 +242,9 @@ class Evaluator:
         self._seed, self._executor, self._report = seed, executor, report
         self._archive, self._kind = archive or Archive(), kind
         self.history: list[Candidate] = []
-        self._columns = result_columns(check=False, limited=False)
+        self._columns = (*result_columns(check=False, limited=False), *_ALSO)
         wanted = ("verdict", "left_again", "nearest_distance", *LOAD_KEYS)
+        self._at_left, self._at_behind = map(self._columns.index, ("left_again", *_ALSO))
         self._wanted = [self._columns.index(name) for name in wanted]
 
     def under(self, requirements: Requirements) -> Evaluator:
@@ -282,11 +288,13 @@ class Evaluator:
         missing = [k for k, result in enumerate(found) if result is None]
         size = max(min(_RUNS_OF_CHUNK, len(missing) // _CHUNKS), 1)
         chunks = [missing[k : k + size] for k in range(0, len(missing), size)]
-        work = partial(run_rows, Recipe(self._scene, names), False, ())
+        work = partial(run_rows, Recipe(self._scene, names), False, (), also=_ALSO)
         tasks = [[values[k] for k in chunk] for chunk in chunks]
         for chunk, task, done in zip(
             chunks, tasks, answers(self._executor, work, tasks), strict=True
         ):
+            if self._requirements.hold_at_be:
+                done = [self._passed_as_left(row) for row in done]
             results = [tuple(row[k] for k in self._wanted) for row in done]
             self._archive.add(self._kind, names, task, results)
             for k, result in zip(chunk, results, strict=True):
@@ -296,6 +304,11 @@ class Evaluator:
         lefts = [bool(each) for each in left]
         violations = self._violations(verdicts, lefts, np.array(nearest, dtype=float), by_load)
         return _Runs(list(verdicts), lefts, by_load, violations)
+
+    def _passed_as_left(self, row: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Return a run in which the tip has left if it is behind BE."""
+        left = row[self._at_left] or row[self._at_behind] > 0.0
+        return (*row[: self._at_left], bool(left), *row[self._at_left + 1 :])
 
     def _violations(
         self,

@@ -41,6 +41,7 @@ class Outcome:
     loads: dict[str, Any]  # of the motion, see capture_sim.run.loads.loads_of
     energy_residual: float  # largest of the energy ledger, J
     failure: str = ""  # why the integration had to stop
+    behind: float = 0.0  # m, of the tip's centre behind BE at the end; 0 within the capture radius
 
     @property
     def captured(self) -> bool:
@@ -66,16 +67,6 @@ def run_to_end(scene: Scene) -> Outcome:
     return outcome_of(run)
 
 
-def behind_at_end(scene: Scene) -> float:
-    """Return how far behind BE the tip's centre is at the end of a run, m; 0 in the capture zone.
-
-    A tip may pass through BE.  What is behind it, inside of the target, no scene describes.
-    """
-    last = Integration(scene).sample(np.array([scene.run.t_end]))[-1:]
-    behind = float(-last["tip_axial"][0]) if last.size else 0.0
-    return behind if behind > scene.detector.capture_radius else 0.0
-
-
 def outcome_of(run: Integration) -> Outcome:
     """Return the verdict and the loads of an integrated run, up to its last step."""
     bench = run.bench
@@ -90,6 +81,7 @@ def outcome_of(run: Integration) -> Outcome:
         loads=loads_of(bench.extremes, bench.touches),
         energy_residual=run.energy_residual,
         failure=run.failure,
+        behind=run.behind,
     )
 
 

@@ -18,7 +18,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.studies.candidates import Candidate, Evaluator, Requirements, costs_of
 from capture_sim.studies.dispersion import Probability
 from capture_sim.studies.limits import Measure
-from capture_sim.studies.outcome import CAPTURED, behind_at_end
+from capture_sim.studies.outcome import CAPTURED, run_to_end
 from capture_sim.studies.refinement import Goal
 from capture_sim.studies.variables import Variable, with_values
 
@@ -126,7 +126,8 @@ def _places(
             if k not in staying:
                 continue
             holds = each.verdict == CAPTURED and not each.left_again
-            behind = behind_at_end(lasting(with_values(scene, values[k]), t_end)) if holds else 0.0
+            of_row = lasting(with_values(scene, values[k]), t_end)
+            behind = run_to_end(of_row).behind if holds else 0.0
             if holds and not behind:
                 places[k] = _Place(t_end)
                 continue

@@ -477,9 +477,12 @@ class Search:
         if best.verdict != CAPTURED:
             return f"{among}, none captures; the nearest, {values_text}, ends {best.verdict}"
         if best.left_again and not self._requirements.allow_leaving:
+            left = "has left again"
+            if self._requirements.hold_at_be:
+                left += " or is behind BE"
             return (
                 f"{among}, none is still captured at {self._scene.run.t_end:g} s; the nearest, "
-                f"{values_text}, has left again (a latch would hold it; --allow-leaving)"
+                f"{values_text}, {left} (a latch would hold it; --allow-leaving)"
             )
         excess = ", ".join(
             f"{limit.meaning} {limit.shown(best.loads[limit.key])} {limit.load.shown_in} (limit "

@@ -434,9 +434,13 @@ def run_rows(
     check: bool,
     limits: Sequence[Limit],
     rows: Sequence[tuple[Any, ...]],
+    also: tuple[str, ...] = (),
 ) -> list[tuple[Any, ...]]:
-    """Return the results of some runs, each in the order of :func:`result_columns`."""
-    columns = result_columns(check=check, limited=bool(limits))
+    """Return the results of some runs, each in the order of :func:`result_columns`.
+
+    ``also`` names results that no table has: ``behind``, see :class:`Outcome`.
+    """
+    columns = (*result_columns(check=check, limited=bool(limits)), *also)
     memories = iter(kept.memories(2 * len(rows) if check else len(rows)))
     prepared = [_prepared(recipe, row, memories, check=check) for row in rows]
     for runs in prepared:
@@ -476,6 +480,7 @@ def _results(runs: tuple[Integration, ...] | SceneError, limits: Sequence[Limit]
         "verdict_at_half_tolerance": _verdict(finer[0]) if finer else None,
         "exceeded": " ".join(exceeded(limits, outcome.loads)),
         "failure": outcome.failure,
+        "behind": outcome.behind,
     }
 
 

@@ -28,7 +28,7 @@ from capture_sim.studies.coverage import undecided
 from capture_sim.studies.design import beaten_by, costs_of_limits, design_buffer
 from capture_sim.studies.executors import InProcess, open_executor
 from capture_sim.studies.limits import make_limits, make_objectives
-from capture_sim.studies.outcome import behind_at_end, run_to_end
+from capture_sim.studies.outcome import run_to_end
 from capture_sim.studies.search import Window
 from capture_sim.studies.variables import FREE, make_variables, with_values
 
@@ -367,7 +367,7 @@ def test_a_buffer_that_lets_go_again_is_no_design(servicer):
             for until in (3.0, 9.0, 30.0):
                 scene_then = paths.changed(design.scene_of(row.candidate), "run.t_end", until)
                 run = run_to_end(scene_then)
-                if not run.captured or run.left_again or behind_at_end(scene_then):
+                if not run.captured or run.left_again or run.behind:
                     break
                 by_hand = until
             assert row.stays == by_hand
@@ -388,6 +388,10 @@ def test_a_row_that_ends_inside_of_the_target_says_so(tmp_path, capsys):
     assert kept["behind"] == pytest.approx(-last["tip_axial"], rel=1e-3)
     said = f"at 1 s the tip is {-last['tip_axial'] * 1e3:.0f} mm behind BE, inside of the target"
     assert said in " ".join(capsys.readouterr().out.split())
+    assert main([*wide, "--hold-at-be"]) == 1
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "none is still captured at 1 s" in shown
+    assert "has left again or is behind BE (a latch would hold it" in shown
 
 
 def test_rows_keep_to_a_window_a_catalogue_and_a_damping_ratio(servicer):
