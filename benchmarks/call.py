@@ -1,4 +1,4 @@
-"""What a call costs besides its equations: the ledger on docs/benchmark.md.
+"""What a call costs besides its equations: the ledger on docs/evidence/benchmark.md.
 
     python -m benchmarks.call                             # ten minutes; writes the table
     python -m benchmarks.call --times 4 --dry             # a try

@@ -1,4 +1,4 @@
-"""What grows faster than its work: processor time and memory over its size, on docs/benchmark.md.
+"""What grows faster than its work: CPU time and memory by size, on docs/evidence/benchmark.md.
 
     python -m benchmarks.growth          # four minutes; writes the table
     python -m benchmarks.growth --dry    # only shows it

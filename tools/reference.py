@@ -45,9 +45,9 @@ A scene is a YAML file that describes a bench. This page is made from the declar
 complete scene, `capture-sim scenes --template` one with the unit, range and meaning of each field.
 
 A plain number is in the unit given here. A text may have another unit. Units are spelled as in pint
-(`N/mm`, `newton/millimeter`, `deg`, `°`, `%`), multiplied by a space, `*` or `·`, with powers `^2`, `**2` or `²`. `extends` names the scene
-whose values apply to all fields that the file does not contain; `null` removes an optional part
-from the bench.
+(`N/mm`, `newton/millimeter`, `deg`, `°`, `%`), multiplied by a space, `*` or `·`, with powers `^2`,
+`**2` or `²`. `extends` names the scene whose values apply to all fields that the file does not
+contain; `null` removes an optional part from the bench.
 
 ```yaml title="softer.yaml"
 extends: tilt_p10
