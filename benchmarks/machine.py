@@ -10,7 +10,8 @@ import time
 from pathlib import Path
 
 from capture_sim import __version__
-from capture_sim.base.compiled.kernels import source_hash
+from capture_sim.base.compiled.kernels import code_hash
+from capture_sim.dynamics.engine.loop import advance
 
 #: Cores that others may keep busy on average before a measurement is no more to be trusted.
 QUIET = 0.1
@@ -65,6 +66,7 @@ def stamp(others: float, *, timed: bool = True) -> str:
     load = max(others, 0.0)  # counters of idle cores may differ by less than their resolution
     line = (
         f"*{today}, {os.cpu_count()} cores {processor()}, Python {platform.python_version()}, "
-        f"capture_sim {__version__}, kernels {source_hash()}; background load {load:.2f} cores.*"
+        f"capture_sim {__version__}, kernels {code_hash(advance)}; "
+        f"background load {load:.2f} cores.*"
     )
     return f"**{BUSY}**\n\n{line}" if timed and is_busy(others) else line

@@ -5,9 +5,8 @@ from __future__ import annotations
 import time
 from functools import partial
 
-from capture_sim.base.compiled.kernels import is_compiled
 from capture_sim.commands.output import Progress, echo
-from capture_sim.dynamics.compilation import compile_kernels
+from capture_sim.dynamics.compilation import compile_kernels, is_compiled
 
 
 def compile_first() -> None:

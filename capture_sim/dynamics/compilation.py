@@ -6,10 +6,16 @@ import functools
 import sys
 import time
 
-from capture_sim.base.compiled.kernels import is_compiled
+from capture_sim.base.compiled import kernels
 from capture_sim.base.interrupts import in_worker
 from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.engine.loop import advance
 from capture_sim.scene.loading import load_scene
+
+
+def is_compiled() -> bool:
+    """Return True if the kernels of this version are compiled on this machine."""
+    return kernels.is_compiled(advance)
 
 
 @functools.cache

@@ -11,11 +11,10 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-from capture_sim.base.compiled.kernels import is_compiled
 from capture_sim.base.compiled.progress import watch_compilation
 from capture_sim.base.exit_status import FAILED
 from capture_sim.base.files import why_no_folder
-from capture_sim.dynamics.compilation import compile_kernels
+from capture_sim.dynamics.compilation import compile_kernels, is_compiled
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.topics import (
     SIMULATOR,

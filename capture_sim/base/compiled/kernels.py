@@ -1,8 +1,8 @@
 """Compilation of the numerical kernels.
 
 Numba's cache checks the file of the outermost function only, and would return stale code after a
-change in a callee.  The cache folder is therefore named by a hash of all kernel sources, so any
-change of these compiles them again.
+change in a callee.  Each entry kernel therefore has a folder that is named by a hash of its code,
+of all kernels that it calls, wherever they are, and of the constants that they read.
 
 With ``NUMBA_DISABLE_JIT=1`` all kernels run as plain Python, slowly, for a debugger.
 """
@@ -30,40 +30,66 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _PLAIN = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 
-_PACKAGE = Path(__file__).resolve().parents[2]
-_SOURCES = sorted(
-    path
-    for folder in ("model", "engine", "solver")
-    for path in (_PACKAGE / "dynamics" / folder).glob("*.py")
-) + [
-    _PACKAGE / name
-    for name in (
-        "base/compiled/kernels.py",
-        "base/compiled/compiler.py",
-        "base/compiled/numba_internals.py",
-        "base/compiled/vector_code.py",
-        "base/compiled/vectors.py",
-        "dynamics/samples.py",
-        "scene/geometry.py",
-        "detection/criteria.py",
-        "detection/exact.py",
-    )
-]
+_COMPILER = Path(__file__).resolve().parent
 
 
 @cache
-def source_hash() -> str:
-    """Return a hash of all kernel sources, their path and the compiler's version."""
+def compiler_hash() -> str:
+    """Return a hash of the compiler: Numba's version, the modules beside this one, their path."""
     # Numba finds compiled code by the path of its source, so each checkout has its own
-    digest = hashlib.sha256(f"{version('numba')} {_PACKAGE}".encode())
-    for path in _SOURCES:
-        digest.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
+    digest = hashlib.sha256(f"{version('numba')} {_COMPILER}".encode())
+    for path in sorted(_COMPILER.glob("*.py")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def code_hash(entry: Callable[..., Any]) -> str:
+    """Return a hash of a kernel, of every kernel that it calls, and of all their constants."""
+    digest = hashlib.sha256()
+    done: set[Kernel] = set()
+    left = [cast("Kernel", entry)]
+    while left:
+        kernel = left.pop()
+        if kernel in done:
+            continue
+        done.add(kernel)
+        function = kernel.py_func
+        code = function.__code__
+        literals = [value for value in code.co_consts if value is not function.__doc__]
+        own = code.co_code, code.co_varnames, code.co_names, literals, function.__defaults__
+        digest.update(repr((own, kernel.inline)).encode())
+        for name, value in _names_outside(function).items():
+            called = getattr(value, "scalar", value)  # of a VectorKernel
+            if isinstance(called, Kernel):
+                left.append(called)
+            digest.update(f"{name} {_constant(value)}".encode())
+    return digest.hexdigest()[:16]
+
+
+def _names_outside(function: Callable[..., Any]) -> dict[str, Any]:
+    """Return what a function reads of its module and of functions around it, by name."""
+    code, known = function.__code__, function.__globals__
+    cells = zip(code.co_freevars, function.__closure__ or (), strict=True)
+    read = {name: known[name] for name in code.co_names if name in known}
+    return read | {name: cell.cell_contents for name, cell in cells}
+
+
+def _constant(value: Any) -> str:
+    """Return a text of what a kernel reads of a value outside it, without addresses in memory."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype.descr} {value.shape} {value.tobytes().hex()}"
+    if isinstance(value, type):
+        members = getattr(value, "__members__", {})
+        fields = getattr(value, "_fields", ())
+        return f"{value.__qualname__} {fields} {[(name, int(members[name])) for name in members]}"
+    if generate := getattr(value, "generate", None):  # of a VectorKernel
+        return Path(generate.__code__.co_filename).read_text(encoding="utf-8")
+    return str(getattr(value, "__name__", None) or repr(value))  # else a module or a function
 
 
 @cache
 def cache_folder() -> Path:
-    """Return the folder of this version's compiled kernels, and make it.
+    """Return the folder of all compiled kernels, and make it.
 
     It is in ``CAPTURE_SIM_CACHE``, ``XDG_CACHE_HOME`` or ``~/.cache``, or, if that is not writable,
     in the system's folder for temporary files; a line on stderr reports it.  Compiled kernels are
@@ -77,7 +103,7 @@ def cache_folder() -> Path:
     """
     root = os.environ.get("CAPTURE_SIM_CACHE") or os.environ.get("XDG_CACHE_HOME")
     base = Path(root) if root else Path.home() / ".cache"
-    name = f"kernels-{source_hash()}"
+    name = f"kernels-{compiler_hash()}"
     folder = base / "capture_sim" / name
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -103,11 +129,6 @@ def cache_folder() -> Path:
     return fallback
 
 
-def is_compiled() -> bool:
-    """Return True if the kernels of this version are compiled on this machine."""
-    return any(cache_folder().rglob("loop.advance*.nbc"))
-
-
 class Kernel:
     """A function that Numba compiles; Numba is loaded at the first call.
 
@@ -120,7 +141,13 @@ class Kernel:
     ) -> None:
         update_wrapper(self, function)
         self.py_func = function
-        self._entry, self._inline = entry, inline
+        self.inline = inline
+        self._entry = entry
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the compiled function, if it is an entry."""
+        return cache_folder() / code_hash(self)
 
     @cached_property
     def compiled(self) -> Any:
@@ -128,8 +155,8 @@ class Kernel:
         from capture_sim.base.compiled import compiler  # half a second: Numba
 
         if self._entry:
-            return compiler.entry(self.py_func, cache_folder())
-        return compiler.inner(self.py_func, inline=self._inline)
+            return compiler.entry(self.py_func, self.folder)
+        return compiler.inner(self.py_func, inline=self.inline)
 
     def __call__(self, *args: Any) -> Any:
         """Call the compiled function."""
@@ -158,6 +185,11 @@ def entry_kernel(function: F) -> F:
     return cast("F", Kernel(function, entry=True))
 
 
+def is_compiled(entry: Callable[..., Any]) -> bool:
+    """Return True if an entry kernel is compiled on this machine, as it is now."""
+    return any(cast("Kernel", entry).folder.rglob("*.nbc"))
+
+
 @cache
 def plain(function: F) -> F:
     """Return a kernel as a Python function that calls the Python functions of other kernels."""
@@ -165,10 +197,10 @@ def plain(function: F) -> F:
         return function
     python = function.py_func
     names = dict(python.__globals__)
-    for name in python.__code__.co_names:
-        value = getattr(names.get(name), "scalar", names.get(name))  # of a VectorKernel
-        if isinstance(value, Kernel):
-            names[name] = plain(value)
+    for name, value in _names_outside(python).items():
+        called = getattr(value, "scalar", value)  # of a VectorKernel
+        if isinstance(called, Kernel):
+            names[name] = plain(called)
     copy: F = FunctionType(  # type: ignore[assignment]
         python.__code__, names, python.__name__, python.__defaults__
     )

@@ -16,11 +16,12 @@ class VectorKernel:
     """A function that is compiled into its callers with vector code.
 
     ``scalar`` is a kernel that does the same; it is used if Numba's internals are unknown.
+    ``generate`` writes the code.
     """
 
     def __init__(self, scalar: Kernel, generate: Callable[..., Any], results: int) -> None:
         self.scalar = scalar
-        self._generate, self._results = generate, results
+        self.generate, self._results = generate, results
 
     @cached_property
     def _numba_type_(self) -> Any:
@@ -31,7 +32,7 @@ class VectorKernel:
             return self.scalar._numba_type_
         from capture_sim.base.compiled import vector_code
 
-        return vector_code.function_type(self._generate, self._results)
+        return vector_code.function_type(self.generate, self._results)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the scalar kernel, where Numba is switched off."""
