@@ -25,8 +25,9 @@ from capture_sim.run.run import Run
 from capture_sim.run.simulation import simulate
 from capture_sim.scene.approach import Approach, placed
 from capture_sim.scene.launch_plan import travel_to_touch
+from capture_sim.scene.laws import CONTACT_LAWS
 from capture_sim.scene.loading import load_scene
-from capture_sim.scene.parts import CONTACT_LAWS, Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import changed
 from capture_sim.studies.executors import answers
 from capture_sim.studies.outcome import Outcome, run_first_contact, run_to_verdict

@@ -15,7 +15,6 @@ from capture_sim.base.compiled.kernels import Kernel
 from capture_sim.dynamics.engine import consequences, events, extremes, loop, rail, segment, steps
 from capture_sim.dynamics.engine.state import NO_EVENT, SCRATCH, STEP, Segment, Status
 from capture_sim.dynamics.engine.steps import distance_to_edge
-from capture_sim.dynamics.model.contact import COULOMB
 from capture_sim.dynamics.model.equations import (
     N_TOTAL,
     NO_TOUCH,
@@ -25,6 +24,7 @@ from capture_sim.dynamics.model.equations import (
     tip_in_cone,
 )
 from capture_sim.dynamics.samples import EventKind
+from capture_sim.scene.laws import FrictionLaw
 
 
 def check_touches(w):
@@ -36,7 +36,7 @@ def check_touches(w):
         assert not mode.latched
         assert touch.start <= t0
         assert abs(touch.direction) == 1.0
-        assert touch.sticking == 0 or w.system.par.friction_law == COULOMB
+        assert touch.sticking == 0 or w.system.par.friction_law == FrictionLaw.COULOMB
         assert touch.largest_rate >= touch.approach_speed >= 0.0
         assert touch.start <= touch.peak_time <= t0
         assert touch.peak_force >= 0.0

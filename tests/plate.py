@@ -4,12 +4,12 @@ import cmath
 import math
 
 from capture_sim import load_scene
-from capture_sim.dynamics.model.contact import exact_factor
 from capture_sim.hardware.guard import Limits
 from capture_sim.hardware.law import NO_LAW, WallLaw
 from capture_sim.hardware.loop import Loop, run_in_process
 from capture_sim.hardware.rig import IDEAL, Rig, Transport
 from capture_sim.hardware.stage import LoopStage
+from capture_sim.scene.laws import exact_factor
 
 STEP = 1e-3  # s
 SPEED = 0.1  # m/s

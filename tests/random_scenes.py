@@ -10,8 +10,9 @@ import numpy as np
 
 from capture_sim.errors import SceneError
 from capture_sim.scene.launch_plan import travel_to_touch
+from capture_sim.scene.laws import CONTACT_LAWS
 from capture_sim.scene.loading import load_scene
-from capture_sim.scene.parts import CONTACT_LAWS, Buffer, Initial, PlanarState, Scene
+from capture_sim.scene.parts import Buffer, Initial, PlanarState, Scene
 
 #: Way of the tip to the first touch, m.
 RUN_UP = 2e-3

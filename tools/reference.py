@@ -23,8 +23,9 @@ from capture_sim.messages.topics import CHASER_CMD_WRENCH, ROLL, TARGET_CMD_WREN
 from capture_sim.plausibility.check import table_of_rules
 from capture_sim.run.simulation import simulate
 from capture_sim.scene.files import scene_names
+from capture_sim.scene.laws import CONTACT_LAWS, NEED_POSITIVE_RESTITUTION
 from capture_sim.scene.loading import load_scene
-from capture_sim.scene.parts import CONTACT_LAWS, NEED_POSITIVE_RESTITUTION, Scene
+from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Declared, declared
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import draw_shapes, save, subplots

@@ -22,8 +22,8 @@ from scipy.integrate._ivp import dop853_coefficients as table
 from benchmarks.engines.own import packed
 from benchmarks.trial import TOUCHED, Outcome
 from capture_sim.dynamics.bench import error_scale
-from capture_sim.dynamics.model.contact import HERTZ, TANH
-from capture_sim.scene.parts import Scene
+from capture_sim.scene.laws import FrictionLaw
+from capture_sim.scene.parts import HERTZ, Scene
 
 _SOURCE = Path(__file__).with_name("floor.cpp")
 _BUILD = Path(__file__).resolve().parents[2] / "build" / "floor"
@@ -110,7 +110,7 @@ def check(parameters: Mapping[str, Any], scene: Scene) -> None:
     missing = [name for name in has if parameters[name]]
     if missing or scene.rail is not None or parameters["contact"]["exponent"] != HERTZ:
         raise ValueError(f"the floor has no {', '.join(missing) or 'rail'}: {scene.name}")
-    if parameters["friction_law"] != TANH:
+    if parameters["friction_law"] != FrictionLaw.TANH:
         raise ValueError(f"the floor has the friction law tanh only: {scene.name}")
 
 

@@ -17,7 +17,7 @@ from capture_sim.dynamics.engine import loop
 from capture_sim.dynamics.engine.state import EVENT, N_WATCHED, Segment, Status
 from capture_sim.dynamics.event_log import EventLog, events_in
 from capture_sim.dynamics.memory import STATE_BYTES, Memory, first_state, joined
-from capture_sim.dynamics.model.contact import FRICTION_LAWS, power_law
+from capture_sim.dynamics.model.contact import power_law
 from capture_sim.dynamics.model.equations import hold_at_rest
 from capture_sim.dynamics.model.parameters import pack
 from capture_sim.dynamics.model.stiffness import stiffest_part
@@ -34,6 +34,7 @@ from capture_sim.dynamics.samples import (
 )
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.scene.launch_plan import LaunchPlan
+from capture_sim.scene.laws import FrictionLaw
 from capture_sim.scene.loading import check_scene
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import refuse, shown
@@ -417,7 +418,7 @@ class Bench:
         par["contact"], par["chi"], par["hysteresis"] = power_law(stiffness, exponent)[0], chi, 0.0
         par["R_t"] = self.scene.probe.tip_radius + offset  # the same gap
         par["mu"], par["inverse_v_eps"] = mu, 1.0 / v_eps
-        par["friction_law"] = FRICTION_LAWS["tanh"]
+        par["friction_law"] = FrictionLaw.TANH
         self._record["step"]["start_measured"] = 0
 
     def saved(self) -> Checkpoint:

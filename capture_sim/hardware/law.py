@@ -10,13 +10,12 @@ import numpy as np
 
 from capture_sim.base.compiled.kernels import entry_kernel, plain, records
 from capture_sim.dynamics.model.contact import (
-    TANH,
     friction_coefficient,
     normal_force,
     power_law,
-    returned_restitution,
 )
 from capture_sim.scene.geometry import nearest_on_wall
+from capture_sim.scene.laws import FrictionLaw, returned_restitution
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range, quantity
 
@@ -37,7 +36,7 @@ def _wall_forces(
 def _grips(slip: np.ndarray, grip: np.ndarray) -> None:
     """Write the regularised friction of a coefficient 1 at each slip over slip_speed."""
     for i in range(slip.size):
-        grip[i] = friction_coefficient(slip[i], 1.0, 0.0, TANH)
+        grip[i] = friction_coefficient(slip[i], 1.0, 0.0, FrictionLaw.TANH)
 
 
 class Wrench(NamedTuple):
@@ -200,7 +199,7 @@ class Walls:
             force, _ = _normal_force(depth, wall.rate, law.damping, elastic)
             if force > 0.0:
                 slip = wall.slip / law.slip_speed
-                friction = -force * _friction_coefficient(slip, law.friction, 0.0, TANH)
+                friction = -force * _friction_coefficient(slip, law.friction, 0.0, FrictionLaw.TANH)
                 fx += force * wall.nx - friction * wall.ny
                 fy += force * wall.ny + friction * wall.nx
                 torque -= wall.distance * friction

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from capture_sim.dynamics.samples import Named
-from capture_sim.scene.launch_plan import LaunchPlan, plan_launch, rolling_force
+from capture_sim.scene.launch_plan import LaunchPlan, expected_speed, plan_launch
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range, quantity
 
@@ -18,32 +18,6 @@ from capture_sim.scene.quantities import Range, quantity
 GRACE = 0.5
 #: A speed is wrong only if it is so by this many of its standard deviations.
 SPEED_GUARD = 5.0
-
-
-def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
-    """Return the chaser's speed (m/s) at a travel (m) from the release, before the first touch.
-
-    By energy, so it needs no clock: ``v^2 = v_L^2 x / H`` while the mass sinks, then
-    ``v_L^2 - 2 a_c (x - H)``.
-    """
-    landing, height = plan.landing_speed, plan.drop_height
-    if travel < height:
-        return landing * math.sqrt(max(travel, 0.0) / height)
-    left = landing**2 - 2.0 * rolling_force(scene) / scene.chaser_total_mass * (travel - height)
-    return math.sqrt(max(left, 0.0))
-
-
-def expected_time(plan: LaunchPlan, travel: float) -> float:
-    """Return when (s after the release) the chaser has this travel (m), if it then coasts freely.
-
-    ``inf`` if it never moves.
-    """
-    landing, height = plan.landing_speed, plan.drop_height
-    if landing == 0.0:
-        return math.inf
-    if travel < height:
-        return plan.landing_time * math.sqrt(max(travel, 0.0) / height)
-    return plan.landing_time + (travel - height) / landing
 
 
 def is_predicted(scene: Scene, plan: LaunchPlan) -> bool:

@@ -1,12 +1,7 @@
 """The plan of a launch: which mass at which height.
 
-While the mass sinks, chaser, mass and pulley are one freedom (``physics`` of the paper's
-section 6):
-
-    a = (m_h g - F_roll) / (m + m_h + I_p / r_p^2)
-
-then the chaser coasts against its rolling resistance, a_c = F_roll / m, to the first
-touch, a distance D from where it was released.  Energy over both parts gives
+The chaser is pulled with a, then coasts, slowed by a_c (:mod:`capture_sim.scene.launch_motion`), to
+the first touch, a distance D from where it was released.  Energy over both parts gives
 
     v_impact^2 = 2 a H - 2 a_c (D - H)
 
@@ -22,7 +17,16 @@ from capture_sim.base.compiled.kernels import plain
 from capture_sim.errors import SceneError
 from capture_sim.scene.cache import depends_on
 from capture_sim.scene.geometry import tip_motion, travel_to_wall
+from capture_sim.scene.launch_motion import (
+    coasting_acceleration,
+    pulled_acceleration,
+    speed_after,
+    time_between,
+)
 from capture_sim.scene.parts import Scene
+
+_pulled, _coasting = plain(pulled_acceleration), plain(coasting_acceleration)
+_speed_after, _time_between = plain(speed_after), plain(time_between)
 
 
 class LaunchPlan(NamedTuple):
@@ -98,15 +102,42 @@ def rolling_force(scene: Scene) -> float:
     return scene.supports.chaser.c_rr * scene.chaser_total_mass * scene.gravity
 
 
+def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
+    """Return the chaser's speed (m/s) at a travel (m) from the release, before the first touch.
+
+    By energy, so it needs no clock.
+    """
+    landing, height = plan.landing_speed, plan.drop_height
+    if height > 0.0 and travel < height:
+        return landing * math.sqrt(max(travel, 0.0) / height)
+    coasting = _coasting(rolling_force(scene), scene.chaser_total_mass)
+    return _speed_after(landing, coasting, travel - height)
+
+
+def expected_time(plan: LaunchPlan, travel: float) -> float:
+    """Return when (s after the release) the chaser has this travel (m), if it then coasts freely.
+
+    ``inf`` if it never moves.
+    """
+    landing, height = plan.landing_speed, plan.drop_height
+    if landing == 0.0:
+        return math.inf
+    if height > 0.0 and travel < height:
+        return plan.landing_time * math.sqrt(max(travel, 0.0) / height)
+    return plan.landing_time + _time_between(landing, landing, travel - height)
+
+
 def _unlaunched(scene: Scene) -> LaunchPlan:
     """Return the plan of a scene without string: the chaser has its speed already."""
     i = scene.initial.chaser
     speed = math.hypot(i.vx, i.vy)
     travel = travel_to_touch(scene)
-    slow = 2.0 * rolling_force(scene) / scene.chaser_total_mass * travel
-    arrives = speed > 0.0 and math.isfinite(travel) and speed**2 > slow
-    impact = math.sqrt(speed**2 - slow) if arrives else 0.0
-    contact = 2.0 * travel / (speed + impact) if arrives else math.inf
+    impact, contact = 0.0, math.inf
+    if speed > 0.0 and math.isfinite(travel):
+        coasting = _coasting(rolling_force(scene), scene.chaser_total_mass)
+        impact = _speed_after(speed, coasting, travel)
+    if impact > 0.0:
+        contact = _time_between(speed, impact, travel)
     return LaunchPlan(0.0, 0.0, impact, speed, 0.0, contact, travel)
 
 
@@ -133,11 +164,11 @@ def plan_launch(scene: Scene) -> LaunchPlan:
             "string.impact_speed: the chaser's straight path misses the cone, "
             "so no speed of the launch gives an impact"
         )
-    coast = friction / m
+    coast = -_coasting(friction, m)
     v, mass, height = string.impact_speed, string.hanging_mass, string.drop_height
 
     def acceleration(mass: float) -> float:
-        return (mass * g - friction) / (m + mass + pulley)
+        return _pulled(mass, g, friction, m, pulley)
 
     if mass is not None and acceleration(mass) <= 0.0:
         raise SceneError(
@@ -166,11 +197,10 @@ def plan_launch(scene: Scene) -> LaunchPlan:
             )
         mass = (a * (m + pulley) + friction) / (g - a)
     a = acceleration(mass)
-    landing = math.sqrt(2.0 * a * height)
-    left = landing * landing - 2.0 * coast * (travel - height)
-    impact = math.sqrt(left) if left > 0.0 else 0.0
-    landing_time = 2.0 * height / landing
+    landing = _speed_after(0.0, a, height)
+    impact = _speed_after(landing, -coast, travel - height)
+    landing_time = _time_between(0.0, landing, height)
     contact = math.inf
     if impact > 0.0:
-        contact = landing_time + 2.0 * (travel - height) / (landing + impact)
+        contact = landing_time + _time_between(landing, impact, travel - height)
     return LaunchPlan(mass, height, impact, landing, landing_time, contact, travel)

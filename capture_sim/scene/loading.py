@@ -42,7 +42,8 @@ from capture_sim.scene.launch_plan import (
     tip_at_release,
     travel_to_touch,
 )
-from capture_sim.scene.parts import HERTZ, NEED_POSITIVE_RESTITUTION, Scene, as_mapping, as_name
+from capture_sim.scene.laws import NEED_POSITIVE_RESTITUTION
+from capture_sim.scene.parts import HERTZ, Scene, as_mapping, as_name
 from capture_sim.scene.quantities import Checked, declared, refuse, replaced, shown
 
 #: Between a scene's title and the list of its changes.

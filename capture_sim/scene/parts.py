@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from capture_sim.errors import SceneError
+from capture_sim.scene.laws import CONTACT_LAWS, FRICTION_LAWS
 from capture_sim.scene.quantities import (
     NOT_NEGATIVE,
     POSITIVE,
@@ -31,21 +32,6 @@ from capture_sim.scene.quantities import (
 )
 from capture_sim.scene.yaml_text import yaml_text
 
-CONTACT_LAWS = (
-    "lankarani_nikravesh",
-    "hunt_crossley",
-    "herbert_mcwhannell",
-    "lee_wang",
-    "gonthier",
-    "zhiying_qishao",
-    "flores",
-    "hu_guo",
-    "carvalho_martins",
-    "exact",
-)
-#: Laws whose hysteresis factor grows without bound as the restitution goes to 0.
-NEED_POSITIVE_RESTITUTION = ("gonthier", "flores", "hu_guo", "exact")
-FRICTION_LAWS = ("tanh", "clamp", "brown_mcphee", "coulomb", "none")
 #: Exponent of the penetration between a sphere and a plane (Hertz).
 HERTZ = 1.5
 #: Range of the detector's lengths, m; a length above one metre indicates a wrong unit.

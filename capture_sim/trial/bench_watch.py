@@ -25,11 +25,10 @@ from capture_sim.launcher.state_machine import (
     Launcher,
     LauncherStatus,
     LaunchObservation,
-    expected_time,
 )
 from capture_sim.run.touches import unseen_impact
 from capture_sim.scene.geometry import nearest_on_wall, tip_motion
-from capture_sim.scene.launch_plan import tip_at_release, travel_to_touch
+from capture_sim.scene.launch_plan import expected_time, tip_at_release, travel_to_touch
 from capture_sim.scene.parts import PlanarState, Scene
 
 #: A fit goes over this time, s, and over this many poses at least.

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from capture_sim.dynamics.model.contact import exact_factor
 from capture_sim.hardware.fit import LawEstimate, fit_touch
 from capture_sim.hardware.law import WallLaw
+from capture_sim.scene.laws import exact_factor
 
 SPEED = 0.1  # m/s
 

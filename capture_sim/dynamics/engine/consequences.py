@@ -15,7 +15,6 @@ from capture_sim.dynamics.engine.events import (
 )
 from capture_sim.dynamics.engine.state import NO_EVENT
 from capture_sim.dynamics.model.contact import (
-    COULOMB,
     damping_of_touch,
     elastic_contact_energy,
     expected_depth,
@@ -38,6 +37,7 @@ from capture_sim.dynamics.model.equations import (
 )
 from capture_sim.dynamics.model.observe import kinetic_energy, mechanical_energy
 from capture_sim.dynamics.samples import EventKind
+from capture_sim.scene.laws import FrictionLaw
 
 #: Share r of the supports' limit below which a slow vehicle is put at rest: at this load, the
 #: smoothed resistance would let it creep at 5 v_eps, r / sqrt(1 - r^2) = 5.
@@ -225,7 +225,7 @@ def follow_jump(w, i):
         touch.peak_force = force
         touch.peak_time = step.t0
     slip = slip_of(y, par, i)
-    if par.friction_law != COULOMB or abs(slip) <= SLIP_FLOOR * par.speed_scale:
+    if par.friction_law != FrictionLaw.COULOMB or abs(slip) <= SLIP_FLOOR * par.speed_scale:
         return
     if touch.sticking or slip * touch.direction < 0.0:
         touch.sticking = 0

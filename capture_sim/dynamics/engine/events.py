@@ -18,7 +18,7 @@ import numpy as np
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
 from capture_sim.dynamics.engine.state import NO_EVENT, NO_WALL
 from capture_sim.dynamics.engine.steps import SMALL_MOVE, distance_to_edge, move_along, state_inside
-from capture_sim.dynamics.model.contact import COULOMB, acts
+from capture_sim.dynamics.model.contact import acts
 from capture_sim.dynamics.model.equations import (
     Hold,
     axial_force,
@@ -34,6 +34,7 @@ from capture_sim.dynamics.model.supports import fastest_ball, is_held, load_fact
 from capture_sim.dynamics.model.trig import sine_cosine
 from capture_sim.dynamics.samples import EventKind
 from capture_sim.dynamics.solver.roots import cubic_minimum, itp_trial, may_cross
+from capture_sim.scene.laws import FrictionLaw
 
 #: Error of the cubic of a function over a step, as a share of the function's changes.
 _CUBIC_ERROR = 0.05
@@ -505,7 +506,7 @@ def search_step(w):
             g_b, d_b = sign * end.gap[i], sign * end.gap_rate[i]
             if may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_ERROR):
                 keep_earliest(w, first_crossing(w, kind, i), kind, i)
-        if par.friction_law == COULOMB:
+        if par.friction_law == FrictionLaw.COULOMB:
             for i in range(2):
                 if mode.touch[i].on:
                     x = slip_changed_by(w, i)

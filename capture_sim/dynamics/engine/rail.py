@@ -11,6 +11,12 @@ from capture_sim.dynamics.engine.state import NO_EVENT, Segment
 from capture_sim.dynamics.model.equations import N_TOTAL, ROLLING
 from capture_sim.dynamics.model.observe import rail_travel
 from capture_sim.dynamics.samples import EventKind
+from capture_sim.scene.launch_motion import (
+    coasting_acceleration,
+    pulled_acceleration,
+    speed_after,
+    time_between,
+)
 
 
 @kernel
@@ -21,21 +27,24 @@ def plan_rail(w):
     event.kind = NO_EVENT
     next_event = EventKind.LANDED if rail.taut else EventKind.RAIL_END
     if rail.taut:
-        pull = par.m_hanging * par.gravity - par.rolling_limit_S
-        rail.acceleration = pull / (par.m_total + par.m_hanging + par.pulley_mass)
-        if rail.speed == 0.0 and pull <= 0.0:
+        rail.acceleration = pulled_acceleration(
+            par.m_hanging, par.gravity, par.rolling_limit_S, par.m_total, par.pulley_mass
+        )
+        if rail.speed == 0.0 and rail.acceleration < 0.0:
             rail.acceleration = 0.0
         goal = par.drop_height - rail.travel
     else:
-        rail.acceleration = -par.rolling_limit_S / par.m_total if rail.speed > 0.0 else 0.0
+        rail.acceleration = 0.0
+        if rail.speed > 0.0:
+            rail.acceleration = coasting_acceleration(par.rolling_limit_S, par.m_total)
         goal = par.rail_length - rail.travel
     step.t1 = math.inf
-    square = rail.speed * rail.speed + 2.0 * rail.acceleration * goal
+    speed_at_goal = speed_after(rail.speed, rail.acceleration, goal)
     if goal <= 0.0:
         step.t1 = step.t0
         event.kind = next_event
-    elif square > 0.0 and rail.speed + math.sqrt(square) > 0.0:
-        step.t1 = step.t0 + 2.0 * goal / (rail.speed + math.sqrt(square))
+    elif speed_at_goal > 0.0:
+        step.t1 = step.t0 + time_between(rail.speed, speed_at_goal, goal)
         event.kind = next_event
     elif rail.acceleration < 0.0:
         # comes to rest on the rail before the goal

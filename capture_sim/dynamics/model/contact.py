@@ -5,13 +5,7 @@ r"""Contact of the tip with a wall: normal force with hysteresis damping, and Co
 The elastic force f is K delta^p, or a measured curve; a record of CONTACT has it.  Only this module
 reads that record: others call its force, rate of the force, slope, energy and expected depth.
 
-The laws differ in the hysteresis factor ``a(e)`` only (``chi = a K / v_0``).  Between two
-free bodies this force returns the restitution ``e_out`` with
-
-    a (1 + e_out) = ln[(1 + a) / (1 - a e_out)]
-
-independent of the masses and of f: divide the equation of the approach by that of the
-penetration, ``m v dv = -f(delta) (1 + a v / v_0) d delta``, and integrate over the whole touch.
+``a`` is the hysteresis factor of the contact law (:mod:`capture_sim.scene.laws`); chi = a K / v_0.
 
 Friction: three laws regularise it at zero slip, one switches by events:
 
@@ -32,7 +26,6 @@ Friction: three laws regularise it at zero slip, one switches by events:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -45,78 +38,8 @@ from capture_sim.dynamics.model.force_table import (
     tabulated_spring,
 )
 from capture_sim.dynamics.model.trig import hyperbolic_tangent
+from capture_sim.scene.laws import FrictionLaw
 from capture_sim.scene.parts import HERTZ
-
-
-def returned_restitution(a: float) -> float:
-    """Return the restitution that results from the hysteresis factor ``a`` (>= 0).
-
-    Solves a (1 + e) = ln[(1 + a) / (1 - a e)] for e; 1 for a = 0.
-    """
-    # imported here: the import takes half a second, and only the exact law needs it
-    from scipy.optimize import brentq
-
-    if a <= 0.0:
-        return 1.0
-    # x = -ln(1 - a e) removes the pole at e = 1/a; the root is in an interval of length 1
-    low = a - math.log1p(a)
-
-    def residual(x: float) -> float:
-        return low - x - math.expm1(-x)
-
-    x = brentq(residual, low, low + 1.0, xtol=1e-15, rtol=1e-14)
-    return float(-math.expm1(-x) / a)
-
-
-def exact_factor(e: float) -> float:
-    """Return the hysteresis factor for an exact restitution ``e``; ValueError if e <= 0."""
-    from scipy.optimize import brentq
-
-    if e <= 0.0:
-        raise ValueError("the exact law needs a restitution above 0")
-    if e >= 1.0:
-        return 0.0
-
-    def residual(x: float) -> float:
-        # x = -ln(1 - a e) removes the pole at a e = 1
-        a = -math.expm1(-x) / e
-        return a * (1.0 + e) - math.log1p(a) - x
-
-    high = 1.0
-    while residual(high) > 0.0:
-        high *= 2.0
-    low = high
-    while residual(low) <= 0.0:
-        low *= 0.5
-        if low < 1e-12:
-            return 0.0
-    x = brentq(residual, low, high, xtol=1e-15, rtol=1e-14)
-    return float(-math.expm1(-x) / e)
-
-
-#: a(e) of each law; sources in docs/forces.md.
-HYSTERESIS_FACTOR: dict[str, Callable[[float], float]] = {
-    "lankarani_nikravesh": lambda e: 0.75 * (1.0 - e * e),
-    "hunt_crossley": lambda e: 1.5 * (1.0 - e),
-    "herbert_mcwhannell": lambda e: 6.0 * (1.0 - e) / ((2.0 * e - 1.0) ** 2 + 3.0),
-    "lee_wang": lambda e: 0.75 * (1.0 - e),
-    "gonthier": lambda e: (1.0 - e * e) / e,
-    "zhiying_qishao": lambda e: 0.75 * (1.0 - e * e) * math.exp(2.0 * (1.0 - e)),
-    "flores": lambda e: 8.0 * (1.0 - e) / (5.0 * e),
-    "hu_guo": lambda e: 1.5 * (1.0 - e) / e,
-    "carvalho_martins": lambda e: 1.5 * (1.0 - e) * (11.0 - e) / (1.0 + 9.0 * e),
-    "exact": exact_factor,
-}
-
-# laws of friction, by their name in a scene
-NONE, TANH, BROWN_MCPHEE, COULOMB, CLAMP = range(5)
-FRICTION_LAWS = {
-    "none": NONE,
-    "tanh": TANH,
-    "clamp": CLAMP,
-    "brown_mcphee": BROWN_MCPHEE,
-    "coulomb": COULOMB,
-}
 
 #: A wall's elastic force, ``stiffness`` times its shape: the depth to the power of ``exponent``,
 #: or the curve of ``table`` where that has points.
@@ -246,9 +169,9 @@ def friction_coefficient(x, mu, mu_s, law):
 
     For the regularised laws; ``x`` is the slip over v_eps.
     """
-    if law == BROWN_MCPHEE:
+    if law == FrictionLaw.BROWN_MCPHEE:
         shape = 0.25 * x * x + 0.75
         return mu * hyperbolic_tangent(4.0 * x) + (mu_s - mu) * x / (shape * shape)
-    if law == CLAMP:
+    if law == FrictionLaw.CLAMP:
         return mu * min(1.0, max(-1.0, x))
     return mu * hyperbolic_tangent(x)

@@ -19,12 +19,13 @@ import numpy as np
 
 from capture_sim.base.compiled.kernels import inline_kernel, kernel, records
 from capture_sim.base.compiled.vectors import write_four
-from capture_sim.dynamics.model.contact import COULOMB, friction_coefficient, normal_force
+from capture_sim.dynamics.model.contact import friction_coefficient, normal_force
 from capture_sim.dynamics.model.force_table import tabulated_spring
 from capture_sim.dynamics.model.parameters import PARAMETERS
 from capture_sim.dynamics.model.supports import rolling_wrench
 from capture_sim.dynamics.model.trig import sine_cosine, sines_cosines
 from capture_sim.scene.geometry import nearest_on_wall, tip_motion, wall_curvature
+from capture_sim.scene.laws import FrictionLaw
 
 N_STATE = 16
 N_TOTAL = 26
@@ -201,7 +202,7 @@ def tip_forces(y, system, px, py, wx, wy):
             gap, rate, nx, ny = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
             force, elastic = normal_force(-gap, -rate, touch.chi, par.contact)
             slip = slip_speed(gap, nx, ny, wx, wy, y[11] - y[15], par)
-            if par.friction_law == COULOMB:
+            if par.friction_law == FrictionLaw.COULOMB:
                 sliding = -par.mu * force * touch.direction
                 friction = out.friction_force[i] if touch.sticking else sliding
             else:

@@ -9,8 +9,6 @@ import numpy as np
 
 from capture_sim.dynamics.model.contact import (
     CONTACT,
-    FRICTION_LAWS,
-    HYSTERESIS_FACTOR,
     measured_law,
     power_law,
 )
@@ -18,6 +16,7 @@ from capture_sim.dynamics.model.force_table import FORCE_TABLE, force_table
 from capture_sim.dynamics.model.supports import BALLS, ball_rows
 from capture_sim.scene.ball_loads import LOADS, loads
 from capture_sim.scene.cache import depends_on
+from capture_sim.scene.laws import HYSTERESIS_FACTOR, FrictionLaw
 from capture_sim.scene.parts import Scene
 
 #: Constants of a run; the kernels only read them.
@@ -167,7 +166,7 @@ def _friction(scene: Scene) -> dict[str, Any]:
     return {
         "mu": mu,
         "mu_s": mu if friction.mu_s is None else friction.mu_s,
-        "friction_law": FRICTION_LAWS[friction.law],
+        "friction_law": FrictionLaw[friction.law.upper()],
         "inverse_v_eps": 1.0 / friction.slip_regularization_speed,
     }
 

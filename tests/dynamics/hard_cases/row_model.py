@@ -10,7 +10,7 @@ import math
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from capture_sim.dynamics.model.contact import HYSTERESIS_FACTOR
+from capture_sim.scene.laws import HYSTERESIS_FACTOR
 from capture_sim.scene.parts import Scene
 
 

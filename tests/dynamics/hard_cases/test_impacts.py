@@ -9,8 +9,7 @@ from scipy.special import gamma
 from set_ups import ADAPTIVE, METHODS, altered, anvil, first, free_impact, run
 
 from capture_sim import SceneError, load_scene
-from capture_sim.dynamics.model.contact import exact_factor, returned_restitution
-from capture_sim.scene.parts import CONTACT_LAWS
+from capture_sim.scene.laws import CONTACT_LAWS, exact_factor, returned_restitution
 
 #: Allowed error of the restitution at the default tolerance (rk4: at steps of 1e-6 s).
 RESTITUTION_ERROR = 1e-6

@@ -18,15 +18,13 @@ from capture_sim.base.compiled.kernels import plain
 from capture_sim.dynamics.model.contact import (
     contact_slope,
     elastic_contact_energy,
-    exact_factor,
     expected_depth,
     measured_law,
     normal_force,
     normal_force_and_rate,
     power_law,
-    returned_restitution,
 )
-from capture_sim.scene.parts import CONTACT_LAWS
+from capture_sim.scene.laws import CONTACT_LAWS, exact_factor, returned_restitution
 
 #: A soft lining on a stiffer wall, its kink at 0.2 mm.
 LINING = ((0.0, 0.0), (2e-4, 4.0), (2e-4, 4.0), (2e-3, 400.0))

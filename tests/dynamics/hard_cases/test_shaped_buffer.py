@@ -11,7 +11,7 @@ from scipy.integrate import quad
 from set_ups import LIGHT, SPEED, first, free_impact, heavy_run, residual, run
 
 from capture_sim import SceneError, load_scene, simulate
-from capture_sim.dynamics.model.contact import returned_restitution
+from capture_sim.scene.laws import returned_restitution
 
 
 def pressed(t_end, **buffer):
