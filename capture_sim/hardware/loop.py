@@ -49,6 +49,14 @@ RESIDUAL_PERIOD = 10
 MAX_SENT = 2048
 
 
+def _load_law() -> None:
+    """Load what a fit of the walls needs, so that no step waits for it."""
+    law, some = WallLaw(1.0, damping=1.0), np.ones(1)
+    law.restitution(1.0)
+    law.normal_forces(some, some)
+    law.grips(some)
+
+
 class Loop:
     """Goes step by step with the wrenches that come, and returns what the rig is to be sent.
 
@@ -72,8 +80,7 @@ class Loop:
     ) -> None:
         if method == "model" and law.stiffness <= 0.0:
             raise CaptureSimError(f"stiffness = {law.stiffness:g} N/m^exponent: must be > 0")
-        one = WallLaw(1.0, damping=1.0)  # loads what a fit needs, not within a step
-        one.restitution(1.0), one.normal_forces(np.ones(1), np.ones(1)), one.grips(np.ones(1))
+        _load_law()
         self.stage, self.method = stage, method
         self._limits = limits
         self._walls = Walls(stage.scene)

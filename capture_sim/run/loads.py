@@ -13,7 +13,8 @@ import numpy as np
 
 from capture_sim.base.compiled.kernels import plain
 from capture_sim.detection.criteria import Criteria
-from capture_sim.dynamics.model.equations import tip_in_cone
+from capture_sim.dynamics.model.equations import stop_force, tip_in_cone
+from capture_sim.dynamics.model.parameters import pack
 from capture_sim.dynamics.samples import EXTREMES, Event, EventKind, Extremes
 from capture_sim.run.first_contact import first_cluster
 from capture_sim.scene.parts import Scene
@@ -223,16 +224,14 @@ def sampled_extremes(
 
 def _stop_force(scene: Scene, samples: np.ndarray) -> np.ndarray:
     """Return the force of the stroke stops on the probe in samples, (n,), N."""
-    stops, stroke = scene.stops, samples["axial_stroke"]
+    stroke, rate = samples["axial_stroke"], samples["v"][:, 4]
     force = np.zeros(samples.size)
-    if stops is None:
+    if scene.stops is None:
         return force
-    for side, end in ((-1.0, -stops.compression), (1.0, stops.extension)):
-        if end is None:
-            continue
-        beyond = side * (stroke - end)
-        push = stops.stiffness * beyond + side * stops.damping * samples["v"][:, 4]
-        force -= np.where(beyond > 0.0, side * np.maximum(push, 0.0), 0.0)
+    parameters = pack(scene, 0.0, 0.0).view(np.recarray)[0]
+    for side, end in ((-1, parameters.stop_compressed), (1, parameters.stop_extended)):
+        for i in np.flatnonzero(side * (stroke - end) > 0.0):
+            force[i], _ = plain(stop_force)(stroke[i], rate[i], side, parameters)
     return force
 
 
