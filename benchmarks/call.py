@@ -227,8 +227,13 @@ def ledger(asked: Namespace, _: Path) -> list[str]:
         )
         found = [json.loads(line) for line in done.stdout.splitlines()]
         if state != ROOT:
-            lines += ["Before:", "", ledger_table(found), "", "Now:", ""]
+            lines += [f"At {commit(state)}:", "", ledger_table(found), "", "Now:", ""]
     return [*lines, ledger_table(found)]
+
+
+def commit(state: Path) -> str:
+    asked = ["git", "-C", str(state), "rev-parse", "--short", "HEAD"]
+    return subprocess.run(asked, check=True, stdout=subprocess.PIPE, text=True).stdout.strip()
 
 
 def ledger_table(found: Sequence[dict[str, Any]]) -> str:
