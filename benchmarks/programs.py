@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.engines import cvode, floor, own, scipy_ivp
 from benchmarks.reference import load_reference
 from benchmarks.trial import Outcome, Prepare, Progress, Trial, run_rounds
-from capture_sim.dynamics.bench import error_scale
+from capture_sim.dynamics.engine.step_length import error_scale
 from capture_sim.scene.parts import Scene
 
 #: Speed of the approach, m/s: an error of an event's time as a length.

@@ -24,7 +24,7 @@ from benchmarks.engines.own import packed
 from benchmarks.engines.scipy_ivp import JUST_OFF
 from benchmarks.trial import TOUCHED, Outcome
 from capture_sim.base.compiled.kernels import kernel
-from capture_sim.dynamics.bench import error_scale
+from capture_sim.dynamics.engine.step_length import error_scale
 from capture_sim.dynamics.model.equations import (
     N_STATE,
     N_TOTAL,

@@ -21,7 +21,7 @@ from scipy.integrate._ivp import dop853_coefficients as table
 
 from benchmarks.engines.own import packed
 from benchmarks.trial import TOUCHED, Outcome
-from capture_sim.dynamics.bench import error_scale
+from capture_sim.dynamics.engine.step_length import error_scale
 from capture_sim.scene.laws import FrictionLaw
 from capture_sim.scene.parts import HERTZ, Scene
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from capture_sim.base.compiled.kernels import records
 from capture_sim.dynamics.engine import loop
-from capture_sim.dynamics.engine.state import EVENT, N_WATCHED, Segment, Status
+from capture_sim.dynamics.engine.state import EVENT, Segment, Status
+from capture_sim.dynamics.engine.step_length import error_scale
 from capture_sim.dynamics.event_log import EventLog, events_in
 from capture_sim.dynamics.memory import STATE_BYTES, Memory, first_state, joined
 from capture_sim.dynamics.model.contact import power_law
@@ -460,19 +461,3 @@ class Bench:
                 if event.touch is not None:
                     self._touches.append(event.touch)
                 self._events.append(event)
-
-
-def error_scale(par: np.void) -> np.ndarray:
-    """Return the permitted error per step of each coordinate and rate: rtol times its scale.
-
-    The scale is a length (the tip's radius) and a speed (of the approach), not the state's
-    present value, so the weight of an error does not depend on the bench's place on the floor.
-    An angle counts by the displacement that it causes at the tip.  ``par`` is of dtype PARAMETERS.
-    """
-    arm, at_target = float(par["a"] + par["h_0"]), float(par["L_T"] + par["R_c"])
-    levers = (1.0, 1.0, arm, arm, 1.0, 1.0, 1.0, at_target)
-    rtol, speed, length = float(par["rtol"]), float(par["speed_scale"]), float(par["length_scale"])
-    lengths = [rtol * (length / lever) for lever in levers]
-    speeds = [rtol * (speed / lever) for lever in levers]
-    energy = rtol * float(par["m_P"]) * speed**2
-    return np.array([*lengths, *speeds, *(N_WATCHED - 16) * [energy]])

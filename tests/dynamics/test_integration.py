@@ -8,12 +8,12 @@ from scipy.integrate import solve_ivp
 
 from capture_sim import load_scene, simulate
 from capture_sim.base.compiled.kernels import entry_kernel, kernel, plain
+from capture_sim.dynamics.engine.step_length import next_factor
 from capture_sim.dynamics.solver.pairs import PAIRS
 from capture_sim.dynamics.solver.roots import cubic_minimum, may_cross
 from capture_sim.dynamics.solver.runge_kutta import (
     dense,
     make_stepper,
-    next_factor,
     set_pair,
     stepper_type,
 )

@@ -15,12 +15,11 @@ from capture_sim.dynamics.engine.events import (
 )
 from capture_sim.dynamics.engine.extremes import watch_extremes, watch_loads
 from capture_sim.dynamics.engine.state import NO_EVENT, SMALLEST_STEP, Segment, Status
+from capture_sim.dynamics.engine.step_length import path_to_events, step_length
 from capture_sim.dynamics.engine.steps import (
     advance_distances,
     make_dense,
     measure_distances,
-    path_to_events,
-    step_length,
     take_step,
 )
 from capture_sim.dynamics.engine.work import work_inside

@@ -1,4 +1,4 @@
-"""One accepted step: its length, its dense output and the distances at its ends."""
+"""One accepted step, its dense output and the distances at its ends."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import math
 
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
 from capture_sim.dynamics.engine.state import N_WATCHED, NO_EVENT, SMALLEST_STEP, Status
-from capture_sim.dynamics.model.contact import contact_slope, normal_force
+from capture_sim.dynamics.engine.step_length import (
+    OVERFLOW,
+    contact_share,
+    next_factor,
+    update_depths,
+)
 from capture_sim.dynamics.model.equations import (
     N_STATE,
     N_TOTAL,
@@ -15,37 +20,13 @@ from capture_sim.dynamics.model.equations import (
     tip_in_cone,
 )
 from capture_sim.dynamics.solver.runge_kutta import (
-    OVERFLOW,
     dense,
     dense_entry,
     make_stepper,
-    next_factor,
 )
 
-#: Longest step in contact, rad of the contact's oscillation, less than a period: a longer step may
-#: be accurate at its end but not in between, where samples and events are read.
-_CONTACT_ANGLE = 5.0
-#: Longest step with stops, a seat, friction in the slide or a table of forces, rad of the probe's
-#: oscillation on the axial spring: the cubic through stroke and rate at the ends of a shorter step
-#: shows every stop that is hit, and no steep part of the table is stepped over.
-_STROKE_ANGLE = 2.0
-#: Permitted error of a step in contact, as a share of the penetration.
-_DEPTH_SHARE = 0.03
-#: Shares of the time to the end of a touch at the present rate.  A step that would go beyond
-#: _NEARLY ends at _PAST_END if the error of crossing the end is below _END_ERROR of the permitted
-#: one, else at _TOWARDS_END.
-_NEARLY, _PAST_END, _TOWARDS_END, _END_ERROR = 0.8, 1.02, 0.6, 0.3
-#: Share of the time to the end of the run: a step goes a little past it and is cut there.
-_RUN_END_REACH = 1.01
-#: Share of the tip's or the latch's radius: the longest path of the tip in a step near a wall.
-_NEAR = 0.25
 #: Share of the step, for difference quotients along the motion.
 SMALL_MOVE = 1e-4
-#: Share of the fixed step: a time this close to a multiple of it counts as that multiple.
-_GRID_TOLERANCE = 1e-9
-#: Share of the fixed step: a longer step is a full one, not the rest after an event.
-_FULL_STEP_SHARE = 0.999
-
 try_step, prepare_dense = make_stepper(rate_of_change, N_STATE, N_TOTAL, N_WATCHED)
 
 
@@ -140,87 +121,6 @@ def advance_distances(step):
         step.start.tip[i] = step.end.tip[i]
     step.start.tip_speed = step.end.tip_speed
     step.start_measured = 1
-
-
-@kernel
-def path_to_events(w):
-    """Return the longest path of the tip in the present step that cannot miss an event, m.
-
-    A distance changes no faster than the tip moves.  Far from the walls and the latch, the step
-    ends before them; near them it is so short that gap and rate at its ends show every dip.
-    """
-    par, start = w.system.par, w.step.start
-    path = math.inf
-    if w.system.mode.latched:
-        return path
-    near = _NEAR * par.R_t
-    for i in range(2):
-        path = min(path, max(start.gap[i] - near, near))
-    if par.has_latch:
-        near = _NEAR * par.latch_radius
-        path = min(path, max(start.gap[2] - near, near))
-    return path
-
-
-@kernel
-def step_length(w):
-    """Return the upper limit of the next step, s."""
-    par, step = w.system.par, w.step
-    if par.fixed_step > 0.0:
-        # to the next multiple of the fixed step, also after an event
-        multiple = math.floor(step.t0 / par.fixed_step + 1.0 + _GRID_TOLERANCE)
-        left = multiple * par.fixed_step - step.t0
-        if left > _FULL_STEP_SHARE * par.fixed_step:
-            step.substeps = 0
-        return left
-    h = min(step.h_next, _RUN_END_REACH * (w.progress.t_stop - step.t0))
-    if step.start.tip_speed > 0.0:
-        h = min(h, path_to_events(w) / step.start.tip_speed)
-    has_end = par.has_stops or par.preload > 0.0 or par.slide_friction > 0.0
-    if (has_end or par.force_table.count > 0) and not w.system.mode.held:
-        # the spring is stiffest at a stop
-        stroke = max(-par.stop_compressed, abs(w.stepper.y[4] - par.h_0))
-        if par.stop_extended < math.inf:
-            stroke = max(stroke, par.stop_extended)
-        stiffness = par.k_A + 3.0 * par.k_A3 * stroke * stroke + par.force_table.largest_slope
-        if stiffness > 0.0:
-            h = min(h, _STROKE_ANGLE * math.sqrt(par.m_P / stiffness))
-    for i in range(2):
-        touch, depth = w.system.mode.touch[i], -step.start.gap[i]
-        if touch.on and depth > 0.0:
-            stiffness, damping = contact_slope(depth, touch.chi, par.contact)
-            rate = max(math.sqrt(stiffness / par.m_P), damping / par.m_P)
-            if rate > 0.0:
-                h = min(h, _CONTACT_ANGLE / rate)
-            opening = step.start.gap_rate[i]
-            if opening * h > _NEARLY * depth:
-                # F ~ t^1.5 at the end of a touch: a step across it errs by about F t^2 / m_P
-                left = depth / opening
-                allowed = min(par.rtol * par.length_scale, _DEPTH_SHARE * touch.depth)
-                _, elastic = normal_force(depth, 0.0, 0.0, par.contact)
-                is_small = elastic * left * left < _END_ERROR * allowed * par.m_P
-                h = min(h, (_PAST_END if is_small else _TOWARDS_END) * left)
-    return h
-
-
-@kernel
-def update_depths(w):
-    """Keep the largest penetration of each touch at the start of a step, for the error scale."""
-    for i in range(2):
-        touch = w.system.mode.touch[i]
-        if touch.on:
-            touch.depth = max(touch.depth, -w.step.start.gap[i])
-
-
-@kernel
-def contact_share(w):
-    """Return the factor on the error of a step in contact, above 1 for a small penetration."""
-    par, share = w.system.par, 1.0
-    for i in range(2):
-        touch = w.system.mode.touch[i]
-        if touch.on:
-            share = max(share, par.rtol * par.length_scale / (_DEPTH_SHARE * touch.depth))
-    return share
 
 
 @kernel

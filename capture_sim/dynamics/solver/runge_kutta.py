@@ -1,4 +1,4 @@
-"""One step of an explicit Runge-Kutta pair: stages, error, dense output, step size.
+"""One step of an explicit Runge-Kutta pair: stages, error and dense output.
 
 Works on any compiled right-hand side ``rhs(t, y, f, system)`` that writes dy/dt into ``f``;
 ``system`` is its record of parameters.  ``y`` has the states first, then integrals that the
@@ -16,16 +16,6 @@ import numpy as np
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
 from capture_sim.dynamics.solver.pairs import MAX_ROWS, MAX_STAGES, Pair
 from capture_sim.dynamics.solver.rows import add_rows, squares_of_sums
-
-# step control as in DOPRI5 and DOP853 (Hairer, Norsett and Wanner 1993, II.4)
-SAFETY = 0.9
-MIN_FACTOR = 0.2
-MAX_FACTOR = 6.0
-BETA = 0.04  # share of the previous error: Gustafsson's PI control
-#: Lower limit of the previous error in the step control.
-MIN_PREVIOUS_ERROR = 1e-4
-#: At an error from this on, or NaN, the step shrinks by the smallest factor.
-OVERFLOW = 1e300
 
 
 def stepper_type(total: int, watched: int) -> np.dtype:
@@ -79,20 +69,6 @@ def set_pair(memory: Any, pair: Pair) -> None:
     memory["E5"][: len(chosen)], memory["E3"][: len(chosen)] = pair.E5[chosen], pair.E3[chosen]
     memory["stages"], memory["total_stages"], memory["rows"] = s, total, rows
     memory["order"] = pair.order
-
-
-@kernel
-def next_factor(error, previous, order):
-    """Return the factor for the next step after an ``error`` (accepted if <= 1)."""
-    if error == 0.0:
-        return MAX_FACTOR
-    if not error < OVERFLOW:
-        return MIN_FACTOR
-    growth = -(1.0 / order - 0.75 * BETA) * math.log(error)
-    if error <= 1.0:
-        growth += BETA * math.log(max(previous, MIN_PREVIOUS_ERROR))
-    factor = SAFETY * math.exp(growth)
-    return min(MAX_FACTOR, max(MIN_FACTOR, factor))
 
 
 @inline_kernel
