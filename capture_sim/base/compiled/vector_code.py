@@ -53,13 +53,6 @@ class VectorCode:
         """Write ``width`` numbers from number ``start`` on."""
         self.builder.store(value, self._place(array.data, start, width)).align = 8
 
-    def vector(self, values: Sequence[Any]) -> Any:
-        """Return numbers as one vector."""
-        result = ir.Constant(self.type_of(len(values)), ir.Undefined)
-        for k, value in enumerate(values):
-            result = self.builder.insert_element(result, value, ir.Constant(_LANE, k))
-        return result
-
     def broadcast(self, value: Any, width: int) -> Any:
         """Return a number ``width`` times."""
         if width == 1:
@@ -76,10 +69,6 @@ class VectorCode:
     def add(self, a: Any, b: Any) -> Any:
         """Return a + b."""
         return self.builder.fadd(a, b, flags=_FLAGS)
-
-    def subtract(self, a: Any, b: Any) -> Any:
-        """Return a - b."""
-        return self.builder.fsub(a, b, flags=_FLAGS)
 
     def multiply(self, a: Any, b: Any) -> Any:
         """Return a b."""

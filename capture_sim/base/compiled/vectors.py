@@ -1,6 +1,9 @@
 """Kernels in vector registers: what Numba's compiler does not make of scalar code by itself.
 
-A kernel with scalars says what is computed; the code for vectors is written when it is compiled.
+A scalar kernel says what is computed; the code for vectors is written when it is compiled.  Without
+it, runs take 1.6 times as long for the sums of stages (1.1 times with sums that are unrolled by
+hand), 1.08 times for the error of a step, and 1.1 times for the balls' resistance.  Vector code for
+anything else has brought less than 3 %.
 """
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
-from capture_sim.base.compiled.kernels import Kernel, kernel
+from capture_sim.base.compiled.kernels import Kernel
 
 
 class VectorKernel:
@@ -42,22 +45,3 @@ class VectorKernel:
 def vectorized(scalar: Any, results: int = 0) -> Callable[[Callable[..., Any]], Any]:
     """Let a function that writes vector code stand for a scalar kernel; see ``function_type``."""
     return lambda generate: VectorKernel(scalar, generate, results)
-
-
-@kernel
-def _write_one_by_one(out, start, a, b, c, d):  # type: ignore[no-untyped-def]
-    """Write four numbers into out[start : start + 4]."""
-    out[start] = a
-    out[start + 1] = b
-    out[start + 2] = c
-    out[start + 3] = d
-
-
-@vectorized(_write_one_by_one)
-def write_four(code: Any, out: Any, start: int, a: Any, b: Any, c: Any, d: Any) -> None:
-    """Write four numbers at once.
-
-    Those that are written one by one, and read as a vector soon after, are late: the processor
-    must first write each of them to its cache.
-    """
-    code.store(code.vector([a, b, c, d]), out, start, 4)

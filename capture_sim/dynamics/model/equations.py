@@ -18,7 +18,6 @@ from enum import IntEnum
 import numpy as np
 
 from capture_sim.base.compiled.kernels import inline_kernel, kernel, records
-from capture_sim.base.compiled.vectors import write_four
 from capture_sim.dynamics.model.contact import friction_coefficient, normal_force
 from capture_sim.dynamics.model.force_table import tabulated_spring
 from capture_sim.dynamics.model.parameters import PARAMETERS
@@ -401,14 +400,18 @@ def accelerate(y, f, system):
         if mode.held:
             acc_h = 0.0
             out.axial_force += m_P * along
-    write_four(f, 8, acc_x, acc_y, alpha, acc_P)
-
+    f[8] = acc_x
+    f[9] = acc_y
+    f[10] = alpha
+    f[11] = acc_P
+    f[12] = acc_h
     if mode.rest_T:
-        write_four(f, 12, acc_h, 0.0, 0.0, 0.0)
+        f[13] = f[14] = f[15] = 0.0
     else:
         qx, qy, qm, _ = rolling_T
-        acc_x, acc_y = (qx - gx) * par.inverse_m_T, (qy - gy) * par.inverse_m_T
-        write_four(f, 12, acc_h, acc_x, acc_y, (target + qm) * par.inverse_I_T)
+        f[13] = (qx - gx) * par.inverse_m_T
+        f[14] = (qy - gy) * par.inverse_m_T
+        f[15] = (target + qm) * par.inverse_I_T
     if par.has_supports:
         out.hold[0] = hold_x
         out.hold[1] = hold_y

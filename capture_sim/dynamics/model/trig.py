@@ -11,13 +11,10 @@ four units in the last place.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
-from capture_sim.base.compiled.vectors import vectorized
 
 _TWO_OVER_PI = 6.36619772367581382433e-01
 _EIGHTH = 0.785398163397448  # rad
@@ -80,41 +77,12 @@ def sine_cosine(angle):
 
 
 @kernel
-def _one_by_one(a, b, c):
-    """Return the sines and cosines of three angles, rad."""
+def sines_cosines(a, b, c):
+    """Return (sin a, cos a, sin b, cos b, sin c, cos c) of three angles, rad."""
     s_a, c_a = sine_cosine(a)
     s_b, c_b = sine_cosine(b)
     s_c, c_c = sine_cosine(c)
     return s_a, c_a, s_b, c_b, s_c, c_c
-
-
-@vectorized(_one_by_one, results=6)
-def _at_once(code: Any, a: Any, b: Any, c: Any) -> list[Any]:
-    """Do what :func:`_polynomials` does, for three angles in a vector register."""
-    subtract, multiply = code.subtract, code.multiply
-    x = code.vector([a, b, c, c])
-    z = multiply(x, x)
-    w = multiply(z, z)
-
-    def sum_of(coefficients: Sequence[float]) -> Any:
-        k = [code.constant(value, 4) for value in coefficients]
-        first, second, third = (code.multiply_add(z, k[i + 1], k[i], 4) for i in (0, 2, 4))
-        return code.multiply_add(w, code.multiply_add(w, third, second, 4), first, 4)
-
-    sines = code.multiply_add(multiply(x, z), sum_of(_SINE), x, 4)
-    half, one = multiply(code.constant(0.5, 4), z), code.constant(1.0, 4)
-    top = subtract(one, half)
-    rest = code.multiply_add(w, sum_of(_COSINE), subtract(subtract(one, top), half), 4)
-    both = sines, code.add(top, rest)
-    return [code.lane(values, k, 4) for k in range(3) for values in both]
-
-
-@inline_kernel
-def sines_cosines(a, b, c):
-    """Return (sin a, cos a, sin b, cos b, sin c, cos c) of three angles, rad."""
-    if abs(a) < _EIGHTH and abs(b) < _EIGHTH and abs(c) < _EIGHTH:
-        return _at_once(a, b, c)
-    return _one_by_one(a, b, c)
 
 
 @inline_kernel
