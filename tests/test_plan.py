@@ -61,7 +61,9 @@ def test_the_places_that_the_plan_names_exist():
     [
         *("a term in the buffer", "a criterion of capture", "a topic", "column of results"),
         *("a plot", "a sensor", "a limit of the loop", "a command", "an interlock"),
-        "a message's field",
+        *("a message's field", "when a launch may begin", "message type of a measured source"),
+        *("string goes slack", "how long a step is", "quality of service", "output or a parameter"),
+        "objective of a design",
     ],
 )
 def test_the_table_says_where_to_begin(change):
