@@ -59,12 +59,12 @@ def test_a_recorded_trial_through_every_command(start, tmp_path, capfd):
     assert first == again
     check("captured", path, capfd)
 
-    status, _ = printed(capfd, "view", path, "--figures", "--out", tmp_path / "view")
-    assert status == 0
+    status, text = printed(capfd, "view", path, "--figures", "--out", tmp_path / "view")
+    assert status == 0, text
     drawn = {file.stem for file in (tmp_path / "view" / "figures").glob("*.png")}
     assert drawn == FIGURES
-    status, _ = printed(capfd, "report", path, "--out", tmp_path / "report")
-    assert status == 0
+    status, text = printed(capfd, "report", path, "--out", tmp_path / "report")
+    assert status == 0, text
     report = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     assert "captured" in report
 
