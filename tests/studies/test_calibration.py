@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from measured_trials import measured_trial, short_scene
 
+import capture_sim
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.run.frames import Table
 from capture_sim.run.series import Series
+from capture_sim.run.touches import located
 from capture_sim.scene.loading import load_scene, load_scene_text
 from capture_sim.scene.paths import changed, get
 from capture_sim.studies.calibration.calibrate import calibrate
+from capture_sim.studies.calibration.candidates import possible
 from capture_sim.studies.calibration.checks import direction_words
 from capture_sim.studies.calibration.files import as_data
+from capture_sim.studies.calibration.joint import Problem
 from capture_sim.studies.calibration.parameters import Weighed, parameters_of, read_weighed
 from capture_sim.studies.calibration.prediction import read_placement
-from capture_sim.studies.calibration.trial import hold_after_release
+from capture_sim.studies.calibration.trial import (
+    hold_after_release,
+    residuals,
+    simulate,
+    trial_of,
+    view,
+)
 
 TRUE = {"contact.restitution": 0.6, "friction.mu": 0.27, "buffer.k_A": 560.0}
 NAMES = ("e", "mu", "buffer.k_A")
 VALUES = (0.6, 0.27, 560.0)
+#: Stiffness of a contact so soft that the linear estimate from the scene's is negative, N/m^1.5.
+SOFT = 0.05 * short_scene().contact_stiffness
 
 
 def two_trials(first=0, true=TRUE, **more):
@@ -77,6 +90,13 @@ def test_a_trial_of_a_changed_bench_is_named():
             13.5,
             marks=pytest.mark.long,
         ),
+        pytest.param(
+            "contact.stiffness",
+            {"true": {**TRUE, "contact.stiffness": SOFT}},
+            SOFT,
+            marks=pytest.mark.long,
+            id="contact.stiffness",
+        ),
     ],
 )
 def test_what_the_model_lacks_is_named_with_its_size(name, more, true):
@@ -85,6 +105,30 @@ def test_what_the_model_lacks_is_named_with_its_size(name, more, true):
     assert not found.is_found
     assert name in named
     assert abs(named[name].estimate - true) < max(5.0 * named[name].error, 0.02 * true)
+
+
+def test_differences_are_one_standard_error_long():
+    """Shorter ones take the roughness of the chatter for information: errors get too small."""
+    problem = Problem([trial_of(run) for run in two_trials()], parameters_of(short_scene(), NAMES))
+    spread = np.array([[4e-5, 1e-5, 0.0], [1e-5, 9e-5, 2e-5], [0.0, 2e-5, 1e-4]])
+    covariance = np.eye(problem.dimension)
+    covariance[:3, :3] = spread
+    axes = problem._axes(covariance)
+    assert axes @ axes.T == pytest.approx(spread)
+
+
+def test_a_force_whose_delay_is_not_known_shows_only_the_time_between_its_touches():
+    scene = short_scene()
+    met = located(capture_sim.simulate(scene).touches).of(slice(3)).with_default_noise(1e-4, 1.0)
+    size = 2 * met.start.size
+    for is_known, late, factor in ((False, 2e-3, 0.0), (True, 2e-3, 1.0)):
+        touches = dataclasses.replace(met.later(late), is_delay_known=is_known)
+        trial = trial_of(measured_trial(scene, {}, 1), touches=touches)
+        own = np.zeros(7)
+        motion = simulate(trial, {}, own, {})
+        found = residuals(trial, motion, view(trial, motion, own, {}), 0.0)[-size:]
+        expected = np.repeat([factor * late / 1e-4, 0.0], met.start.size)
+        assert found == pytest.approx(expected, abs=0.1)
 
 
 def test_what_was_weighed_enters_values_and_errors():
@@ -208,6 +252,17 @@ def test_weighed_values_are_read_with_units(text, value, error):
     _, weighed = read_weighed(short_scene(), text)
     assert weighed.value == pytest.approx(value)
     assert weighed.error == pytest.approx(error)
+
+
+@pytest.mark.parametrize("low, high", [(0.0, math.inf), (0.0, 1.0), (-math.inf, 1.0)])
+@pytest.mark.parametrize("estimate", [-1e9, -0.3, 0.0, 0.2, 0.6, 1.0, 40.0])
+def test_an_estimate_of_a_linear_model_is_one_that_the_bench_could_have(low, high, estimate):
+    """A softer contact is estimated with a negative stiffness: the search begins at a small one."""
+    found = possible(0.5, estimate, low, high)
+    assert low < found < high
+    assert (found < 0.5) == (estimate < 0.5)
+    if low < estimate < high:
+        assert found == estimate
 
 
 @pytest.mark.parametrize("text", ["chaser.mass=22.6", "chaser.mass", "chaser.mass=a +- b kg"])

@@ -28,6 +28,8 @@ from capture_sim.studies.calibration.trial import sensor_column
 NAMED = 20.0
 #: A step of a candidate changes chi2 by about one, after one correction beyond these factors.
 _TOO_SMALL, _TOO_LARGE = 0.2, 5.0
+#: Largest decrease of the distance to the end of a range, as a power of e.
+_MOST_DECREASE = 5.0
 #: A stop is tried at this share of the longest stroke that was measured.
 _STOP_SHARE, _STOP_STIFFNESS = 0.95, 2e4
 
@@ -168,9 +170,21 @@ def _field_score(at: Linear, problem: Problem, field: _Field) -> Score | None:
             break
         wanted = abs(step) / max(change, 1e-6)
         step = math.copysign(min(wanted, max(0.3 * abs(value), 30.0 * abs(step))), step)
-    if value <= low and score.estimate < value:
-        score = score._replace(gain=0.0)  # below its range: nothing that a bench could have
-    return score
+    if (value <= low and score.estimate < value) or (value >= high and score.estimate > value):
+        score = score._replace(gain=0.0)  # out of its range: nothing that a bench could have
+    return score._replace(estimate=possible(value, score.estimate, low, high))
+
+
+def possible(value: float, estimate: float, low: float, high: float) -> float:
+    """Return an estimate that a linear model makes from a ``value`` inside of the open range.
+
+    A step to or beyond an end becomes a step of the distance to that end by its logarithm.
+    """
+    for end in (low, high):
+        left = end - value
+        if left != 0.0 and math.isfinite(left) and (share := (estimate - value) / left) >= 1.0:
+            return end - left * math.exp(-min(share, _MOST_DECREASE))
+    return min(max(estimate, low), high)
 
 
 def _columns(at: Linear, problem: Problem, more: dict[str, float]) -> list[np.ndarray] | None:
