@@ -1,0 +1,101 @@
+"""The command calibrate, with recordings in files: what it writes, refuses, and keeps at Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+import capture_sim
+from capture_sim.base.exit_status import BAD_INPUT, INTERRUPTED, OK
+from capture_sim.cli import main
+from capture_sim.recording.offline import write_run
+
+SHORT = {"run.t_end": 3.2}
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory):
+    """Recordings of two trials of one bench, in place of a laboratory's."""
+    folder = tmp_path_factory.mktemp("trials")
+    names = ("tilt_0", "tilt_p10")
+    return [write_run(capture_sim.simulate(n, SHORT), folder / f"{n}.mcap") for n in names]
+
+
+def test_its_scene_runs_and_its_numbers_are_read_again(trials, tmp_path, capfd):
+    out = tmp_path / "bench"
+    words = ["calibrate", *trials, "--fit", "c_rr", "mu", "--out", out]
+    assert main([str(word) for word in words]) == OK
+    assert "found: all tests passed" in capfd.readouterr().out
+    found = json.loads((out / "calibration.json").read_text(encoding="utf-8"))
+    assert found["findings"] == []
+    scene = capture_sim.load_scene(out / "calibrated.yaml")
+    assert scene.supports.chaser.c_rr == pytest.approx(0.001, rel=1e-3)
+    words = ["sweep", out / "calibrated.yaml", "--calibrated", out, "--runs", 3, "--workers", 1]
+    words += ["--vary", "initial.target.y=normal(0, 0.2 mm)", "--out", tmp_path / "t.csv"]
+    assert main([str(word) for word in words]) == OK
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["--fit", "c_rr", "c_rr"], "parameter c_rr: given twice: must be given once"),
+        (["--fit", "c_rrr"], "parameter c_rrr: must be one of c_rr, e, mu, c_A"),
+        (["--weighed", "chaser.mass=22.6"], "weighed chaser.mass=22.6: must be NAME='VALUE +-"),
+        (["--placement", "0.2 mm, 1 mrad"], "--placement: must be given with --predict"),
+        (["--predict", "no_such_scene"], "scene 'no_such_scene': not found"),
+        (["--until", "-1"], "argument --until: '-1': must be a number >= 0"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(words, said, trials, tmp_path, capfd):
+    out = tmp_path / "bench"
+    assert main(["calibrate", str(trials[0]), *words, "--out", str(out)]) == BAD_INPUT
+    errors = capfd.readouterr().err
+    assert said in errors
+    assert len(errors.splitlines()) == 1
+    assert not out.exists()
+
+
+def test_trials_that_are_none_are_one_line(trials, tmp_path, capfd):
+    other = write_run(
+        capture_sim.simulate("tilt_p10", {**SHORT, "chaser.mass": 21.0}), tmp_path / "other.mcap"
+    )
+    empty = tmp_path / "empty.mcap"
+    empty.touch()
+    for more, said in (
+        (trials[0], "given twice"),
+        (other, "chaser.mass"),
+        (empty, "empty.mcap"),
+        (tmp_path / "none.mcap", "none.mcap: cannot read: No such file"),
+    ):
+        words = ["calibrate", trials[0], more, "--fit", "c_rr", "--out", tmp_path / "bench"]
+        assert main([str(word) for word in words]) == BAD_INPUT
+        errors = capfd.readouterr().err
+        assert said in errors
+        assert len(errors.splitlines()) == 1
+        assert not (tmp_path / "bench").exists()
+
+
+def test_ctrl_c_writes_the_state_so_far_and_says_so(trials, tmp_path):
+    out = tmp_path / "bench"
+    begin = "import sys; from capture_sim import cli; from capture_sim.commands import output; "
+    begin += "output._PAUSE = 2.0; sys.exit(cli.main())"
+    command = [sys.executable, "-u", "-c", begin, "calibrate", *map(str, trials), "--out", str(out)]
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as run:
+        for line in run.stderr:
+            if " simulations, " in line:
+                break
+        os.kill(run.pid, signal.SIGINT)
+        output, errors = run.communicate(timeout=300)
+    assert run.returncode == INTERRUPTED, output + errors
+    assert "Traceback" not in errors
+    assert "not found: unfinished" in output + errors
+    found = json.loads((out / "calibration.json").read_text(encoding="utf-8"))
+    assert [finding["kind"] for finding in found["findings"]] == ["unfinished"]
+    assert capture_sim.load_scene(out / "calibrated.yaml").name
