@@ -2,11 +2,12 @@
 
 import math
 import sys
+import time
 from pathlib import Path
 
 import pytest
 from capture_sim.action import RunTrial
-from rig_session import ABORTED, FakeRig, Goal, Session, rig
+from rig_session import ABORTED, SUCCEEDED, FakeRig, Goal, Session, actions_of, rig
 
 from tests.nodes.bench_client import wait_until
 
@@ -37,6 +38,8 @@ class FaultyRig(FakeRig):
                     message.header.frame_id = f"camera_{self.cameras.index(publisher)}"
                 case "3 s ahead":
                     offset = 3.0
+                case "moves" if not going:
+                    place.x += 0.01 * self.chaser.t
                 case "steps in flight" if going:
                     offset = -5.0
         elif publisher is self.encoders:
@@ -50,6 +53,10 @@ class FaultyRig(FakeRig):
                     message.position = [hinge, 0.0]
                 case "encoders die" if going:
                     return
+        if self.fault == "steady clock":
+            offset = time.monotonic() - time.time()
+        elif self.fault == "0.1 s late":
+            offset = -0.1
         publisher.publish(stamped(message, self.epoch + self.chaser.t + offset))
 
 
@@ -63,6 +70,7 @@ REFUSED = {
     "two frames": "refused (frames_differ)",
     "3 s ahead": "refused (clocks_apart)",
     "slide in mm": "[rule buffer_rest]",
+    "steady clock": "[rule machine_clock]",
 }
 UNDECIDED = {
     "slide inverted": "refused (buffer_inverted)",
@@ -93,6 +101,31 @@ def test_what_is_wrong_before_a_release_refuses_it(session):
         assert (status, result.verdict) == (ABORTED, ""), fault
         assert words in result.reason, (fault, result.reason)
     assert session.let_go == 0
+
+
+def test_a_chaser_that_moves_is_not_let_go_and_late_stamps_are_no_fault(start, client, tmp_path):
+    limits = LIMITS | {"waive": "[]"}
+    session = Session(start, client, tmp_path, launcher=limits)
+    status, result = tried(session, "moves")
+    assert (status, result.verdict, session.let_go) == (ABORTED, "", 0)
+    assert "the chaser moves by " in result.reason
+    status, result = tried(session, "0.1 s late")
+    assert (status, result.complete) == (SUCCEEDED, True), (result.reason, result.problems)
+    for node in (session.launcher, session.detector):
+        assert "behind" not in node.text
+
+
+def test_who_must_take_part_is_named_when_absent(start, client):
+    options = {"scene": "tilt_0", "actuator": "output", **LIMITS, "start_timeout": 1.0}
+    launcher = start("launcher", **options)
+    launcher.wait_for("ready for trials")
+    with rig(FakeRig, {"pace": 1.0, "hold_timeout": 60.0}) as node:
+        wait_until(lambda: node.armed)
+        status, result = Goal(actions_of(client)).result()
+        assert (status, result.verdict, result.complete) == (ABORTED, "", False)
+        for role in ("recorder", "capture_detector"):
+            assert f"no {role} " in result.reason
+        assert node.chaser.released is None
 
 
 @pytest.mark.long
