@@ -16,6 +16,7 @@ import ast
 import contextlib
 import itertools
 import json
+import math
 import re
 import runpy
 import shlex
@@ -24,6 +25,7 @@ import subprocess
 import sys
 import tomllib
 from collections import Counter
+from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -38,6 +40,14 @@ from capture_sim.recording.offline import write_run
 from capture_sim.run.loads import LOADS
 from capture_sim.run.summary import KEYS
 from capture_sim.scene.parts import Scene
+from capture_sim.trial.interlocks import (
+    MAX_REST_STROKE,
+    MAX_REST_TORSION,
+    MAX_START_TURN,
+    RULES,
+    TrialLimits,
+)
+from capture_sim.trial.standstill import MAX_DRIFT, MAX_START_ERROR, MIN_SPAN
 from tools import reference, setup_env
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -339,6 +349,31 @@ def test_pages_made_from_the_code_are_up_to_date():
     assert sum(text.count("<!-- end of generated -->") for text in texts.values()) >= 7
     stale = [page.name for page, text in texts.items() if reference.filled(text) != text]
     assert not stale
+
+
+def test_the_page_on_rigs_has_the_limits_of_the_launcher():
+    """Each rule that can be waived, and each limit with its default, as the code has them."""
+    page = (ROOT / "docs" / "your_rig.md").read_text(encoding="utf-8")
+    lines = (line for line in page.splitlines() if line.startswith("| "))
+    rows = [row for line in lines if len(row := [c.strip() for c in line[1:-1].split("|")]) == 3]
+    rules = [row[0] for row in rows if row[0].startswith("rule `")]
+    assert {re.match(r"rule `(\w+)`", rule)[1] for rule in rules} == set(RULES)
+    limits = {field.name: field.default for field in fields(TrialLimits)}
+    written = {}
+    for _, default, parameters in rows:
+        for name in re.findall(r"`(\w+)`", parameters):
+            if name in limits and (number := re.match(r"[\d.]+", default)):
+                written[name] = float(number[0])
+    missing = set(limits) - set(written)
+    assert missing == {"after_verdict", "closing_timeout"}  # these refuse and abort nothing
+    assert written == {name: limits[name] for name in written}
+    start, rest, still = (
+        next(row[1] for row in rows if row[0].startswith(f"rule `{name}`"))
+        for name in ("start", "buffer_rest", "standstill")
+    )
+    assert start == f"{1e3 * MAX_START_ERROR:g} mm, {math.degrees(MAX_START_TURN):g} degrees"
+    assert rest == f"{1e3 * MAX_REST_STROKE:g} mm, {MAX_REST_TORSION:g} rad"
+    assert still == f"{1e3 * MAX_DRIFT:g} mm in {MIN_SPAN:g} s"
 
 
 def test_the_scene_reference_explains_every_part_and_field():
