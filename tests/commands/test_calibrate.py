@@ -11,7 +11,7 @@ import sys
 import pytest
 
 import capture_sim
-from capture_sim.base.exit_status import BAD_INPUT, INTERRUPTED, OK
+from capture_sim.base.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK
 from capture_sim.cli import main
 from capture_sim.recording.offline import write_run
 
@@ -38,6 +38,18 @@ def test_its_scene_runs_and_its_numbers_are_read_again(trials, tmp_path, capfd):
     words = ["sweep", out / "calibrated.yaml", "--calibrated", out, "--runs", 3, "--workers", 1]
     words += ["--vary", "initial.target.y=normal(0, 0.2 mm)", "--out", tmp_path / "t.csv"]
     assert main([str(word) for word in words]) == OK
+
+
+def test_a_fit_that_does_not_count_is_status_1_with_the_reason(trials, tmp_path, capfd):
+    """A trial of another bench, described by the scene of the first one."""
+    made = capture_sim.simulate("tilt_p10", {**SHORT, "buffer.k_A": 560.0})
+    scene = capture_sim.load_scene("tilt_p10", SHORT)
+    other = write_run(made.replaced(given_scene=scene), tmp_path / "other.mcap")
+    out = tmp_path / "bench"
+    words = ["calibrate", trials[0], other, "--fit", "mu", "--out", out]
+    assert main([str(word) for word in words]) == FAILED
+    assert "not found: " in capfd.readouterr().out
+    assert json.loads((out / "calibration.json").read_text(encoding="utf-8"))["findings"]
 
 
 @pytest.mark.parametrize(

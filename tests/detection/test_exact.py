@@ -247,3 +247,15 @@ def test_blocks_of_any_size_give_the_same_statuses(name):
     first = next(status for status in result.statuses if status.final)
     assert samples["t"][used - 1] == first.t
     assert detector.finish() == first
+
+
+@pytest.mark.parametrize("name", ["tilt_0", "paper_undamped", "paper_case_3", "paper_designed"])
+@pytest.mark.parametrize("latch", [True, False])
+def test_a_final_verdict_never_changes(name, latch):
+    """Also where the tip leaves again, or touches for many seconds more."""
+    changes = {"run.t_end": 12.0, "run.after_latch": None, **({} if latch else {"latch": None})}
+    statuses = simulate(name, changes).statuses
+    first = next(k for k, status in enumerate(statuses) if status.final)
+    assert len(statuses) > first + 50
+    assert {s.state for s in statuses[first:]} == {statuses[first].state}
+    assert all(status.final for status in statuses[first:])

@@ -79,6 +79,16 @@ def test_rrd_holds_the_numbers_of_every_run(rrd, found, runs):
         assert tip == pytest.approx(tip_in_cone(samples) * 1e3, abs=1e-4)
 
 
+def test_an_arrow_of_force_is_bounded(found, runs):
+    """3 mm for 1 N, and 0.12 m for 40 N and more."""
+    for run in runs:
+        _, vectors = column(found, f"/{run.scene.name}/world/contact_force", "vectors")
+        lengths = np.linalg.norm(vectors, axis=1)
+        force = np.linalg.norm(run.samples["contact_force"], axis=1)
+        assert lengths == pytest.approx(np.minimum(3e-3 * force, 0.12), abs=1e-6)
+        assert force.max() > 40.0
+
+
 def test_every_touch_is_in_the_curve_and_marked(found, runs):
     for run in runs:
         path = f"/plots/contact_force/{run.scene.name}"

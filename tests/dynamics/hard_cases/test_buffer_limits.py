@@ -1,5 +1,7 @@
 """Buffer, contact, stops and masses to their limits, against three points in a row."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from four_bodies import momentum
@@ -7,6 +9,8 @@ from row_model import Row
 from set_ups import METHODS, altered, anvil, assert_conserved, in_a_row, residual, run
 
 from capture_sim import SimulationError, load_scene, simulate
+from capture_sim.base.compiled.kernels import plain
+from capture_sim.dynamics.model.equations import stop_force
 from capture_sim.scene.parts import Stops
 
 GAP = 1e-4
@@ -185,3 +189,13 @@ def test_fixed_step_too_long_for_the_contact_is_an_error(step):
     scene = load_scene("paper_designed", ["run.method=rk4", f"run.step={step!r}"])
     with pytest.raises(SimulationError, match=r"phase contact: .*run.step"):
         simulate(scene, t_end=0.35)
+
+
+@pytest.mark.parametrize("stop", [-1, 1])
+def test_stops_push_and_never_pull(stop):
+    """At any depth and rate, also of a probe that leaves a strongly damped stop fast."""
+    par = SimpleNamespace(stop_compressed=-0.01, stop_extended=0.01, k_stop=1e4, c_stop=500.0)
+    rng = np.random.default_rng(2)
+    for depth, rate in zip(rng.uniform(0.0, 2e-3, 2000), rng.uniform(-1.0, 1.0, 2000), strict=True):
+        force, _ = plain(stop_force)(stop * (0.01 + depth), rate, stop, par)
+        assert -stop * force >= 0.0  # towards the middle, or nothing
