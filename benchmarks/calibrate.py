@@ -184,7 +184,7 @@ def recover(asked: argparse.Namespace, _: Path) -> list[str]:
     rms = float(np.sqrt(np.mean(np.square(z))))
     return [
         f"{near} of {benches} benches within the 99 % distance of {limit:.1f}; {refused} right "
-        f"fits refused, {false} false ones accepted; rms of the {len(z)} errors over their standard "
+        f"fits refused, {false} false ones accepted; rms of {len(z)} errors over their standard "
         f"errors {rms:.2f}; {covered} of {figures} predicted figures in their 95 % band; "
         f"{left_out} benches left out, which reach no contact:",
         "",
