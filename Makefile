@@ -87,7 +87,8 @@ test-generic: develop
 # ROS are for NumPy 2
 test-numpy1:
 	rm -rf build/numpy1
-	git clone -q . build/numpy1
+	git clone -q . build/numpy1 || (mkdir -p build/numpy1 && \
+		tar -c --exclude=./.venv --exclude=./build --exclude=./.git . | tar -x -C build/numpy1)
 	$(MAKE) -C build/numpy1 develop
 	build/numpy1/$(BIN)/python -m pip install -q -r requirements/workstation.txt
 	build/numpy1/$(BIN)/python -m pip uninstall -q -y rerun-sdk
