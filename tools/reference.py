@@ -60,9 +60,9 @@ latch: null
 
 An invalid value is reported in one line: `buffer.k_A = -5 N/m: must be >= 0`.
 
-Scenes whose name begins with `_` are made for others to extend, and `capture-sim scenes` does not list them: `_bench`,
-`_free` and `_table_2` of the paper, and `_loop`, which [the hardware loop](hardware_in_the_loop.md) takes unless its parameter
-`scene` names yours.
+Scenes whose name begins with `_` are made for others to extend, and `capture-sim scenes` does not
+list them: `_bench`, `_free` and `_table_2` of the paper, and `_loop`, which
+[the hardware loop](hardware_in_the_loop.md) takes unless its parameter `scene` names yours.
 
 ## From a drawing to a scene
 
@@ -99,8 +99,8 @@ RULES = """
 | `initial.chaser` | on the rail: no rotation, velocity forwards along the heading |
 | `initial.target` | at rest while the scene has a rail |
 | `initial` | the tip does not start inside of a wall; it may touch one |
-| `buffer.force_table` | strokes rise, forces do not fall; see [measured spring](forces.md#measured-spring) |
-| `contact.force_table` | the same, and not deeper than 3/4 of the tip's radius; see [own contact](own_contact.md) |
+| `buffer.force_table` | rules of a [measured spring](forces.md#measured-spring) |
+| `contact.force_table` | rules of a [contact of your own](own_contact.md) |
 | `supports.*.balls` | a triangle around the vehicle's centre of mass |
 | `cone.R_c`, `buffer.rest_length` | greater than the tip's radius; `R_c` may be equal to it |
 | `latch.radius` | less than the depth of the cone, `L_c` times the cosine of `half_angle` |
