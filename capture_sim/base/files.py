@@ -89,7 +89,7 @@ def _link_new(part: Path, path: Path) -> None:
         part.replace(path)
 
 
-def why_not_writable(folder: Path) -> str:
+def writing_problem(folder: Path) -> str:
     """Return the reason why no file can be written into a folder, empty if one can.
 
     A missing folder is not created, so a command that is rejected later leaves nothing.
@@ -106,7 +106,7 @@ def why_not_writable(folder: Path) -> str:
         return error.strerror or str(error)
 
 
-def why_no_file(path: Path) -> str:
+def file_problem(path: Path) -> str:
     """Return the reason why a file cannot be written into an existing folder, empty if it can."""
     if path.is_dir():
         return "it is a folder"
@@ -114,10 +114,10 @@ def why_no_file(path: Path) -> str:
         return f"{path.parent} is not a folder"
     if path.exists():
         return "" if os.access(path, os.W_OK) else os.strerror(errno.EACCES)
-    return why_not_writable(path.parent)
+    return writing_problem(path.parent)
 
 
-def why_no_folder(path: Path) -> str:
+def folder_problem(path: Path) -> str:
     """Return the reason why a path is no folder, empty if it is one."""
     return "" if path.is_dir() else "there is none"
 

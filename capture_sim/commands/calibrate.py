@@ -180,7 +180,7 @@ def _weighed(scene: Scene, texts: Sequence[str]) -> dict[str, Weighed]:
     return weighed
 
 
-def rows_of(found: Calibration) -> list[list[str]]:
+def parameter_rows(found: Calibration) -> list[list[str]]:
     """Return the parameters as rows of a table."""
     rows = []
     for name, value, error, unit, begun in zip(
@@ -222,7 +222,7 @@ def print_starts(found: Calibration) -> None:
 
 
 def _print(found: Calibration) -> None:
-    print_table(HEAD, rows_of(found))
+    print_table(HEAD, parameter_rows(found))
     for i, first in enumerate(found.names):
         for j, second in enumerate(found.names[:i]):
             if abs(found.correlation[i, j]) > 0.95:
@@ -307,7 +307,7 @@ def _write(found: Calibration, runs: Sequence[Run], options: argparse.Namespace)
     echo(f"calibrated scene in {path}")
     hashes = {start.trial: _sha256(Path(start.trial)) for start in found.starts}
     echo(f"values, covariance and tests in {write_json(out / JSON, as_data(found, hashes))}")
-    lines = [table_text(HEAD, rows_of(found)), "", *_test_lines(found)]
+    lines = [table_text(HEAD, parameter_rows(found)), "", *_test_lines(found)]
     lines += [f"not found: {finding.line}" for finding in found.findings]
     write_text(out / "calibration.txt", "\n".join(lines) + "\n")
     with drawing():

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from capture_sim.base.exit_status import OK
-from capture_sim.base.files import is_device, why_no_file, why_not_writable
+from capture_sim.base.files import file_problem, is_device, writing_problem
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_overrides, load
 from capture_sim.commands.output import echo
@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     if not options.c and path.suffix != SUFFIX and not path.is_dir() and not is_device(path):
         path = path.with_name(path.name + SUFFIX)
         echo(f"--out {options.out}: written to {path}, as FMI tools open files ending in {SUFFIX}")
-    reason = why_not_writable(options.c) if options.c else why_no_file(path)
+    reason = writing_problem(options.c) if options.c else file_problem(path)
     if reason:
         raise SceneError(f"{options.c or path}: {reason}")
     compile_first()

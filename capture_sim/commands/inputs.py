@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from capture_sim.base.files import why_not_writable
+from capture_sim.base.files import writing_problem
 from capture_sim.commands.output import echo, warn
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.scene.files import MAX_TEXT, parse, scene_names
@@ -389,7 +389,7 @@ def load_all(sources: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
 
 def prepare_folder(folder: Path) -> None:
     """Create a folder and check, before anything runs, that results can be written to it."""
-    if reason := why_not_writable(folder):
+    if reason := writing_problem(folder):
         raise RecordingError(f"--out {folder}: cannot be written: {reason}; must be a folder")
 
 

@@ -14,7 +14,7 @@ from capture_sim.errors import CaptureSimError, one_line
 from capture_sim.plausibility.check import check_names, rules_with_scene
 from capture_sim.plausibility.rules import Grade
 from capture_sim.recording.bag import read_bag, remap_of
-from capture_sim.recording.inspection import Row, as_data, missing_for, rows_of
+from capture_sim.recording.inspection import Row, as_data, missing_for, series_rows
 from capture_sim.recording.read import run_of
 from capture_sim.run.run import Run
 from capture_sim.scene.loading import load_scene
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
             bag = read_bag(path, remaps=remaps, release=options.release)
             read = run_of(bag, scene).replaced(waived=tuple(options.waived))
             data.append(as_data(bag, read))
-            rows += [(path, row) for row in rows_of(bag, read)]
+            rows += [(path, row) for row in series_rows(bag, read)]
             inspected.append((path, read))
         except CaptureSimError as error:  # the others count all the same
             warn(one_line(str(error)))

@@ -248,7 +248,7 @@ def note_push(criteria, memory, t, axial, lateral):
 
 
 @kernel
-def hit_unseen(criteria, memory, corner_time):
+def must_have_hit(criteria, memory, corner_time):
     """Return True if a tip that turned round was so near a wall that it must have hit it.
 
     Vehicles that coast do not turn round by themselves.  ``corner_time`` (s): by how much
@@ -304,7 +304,7 @@ def decide(criteria, memory, place, has_rested, corner_time, outside_time):
     release and so has it from the start.
 
     ``has_rested``: the tip has been at rest for long enough, where one position says nothing about
-    that (``place.size > 1``).  ``corner_time``: see :func:`hit_unseen`.  ``outside_time`` (s): a
+    that (``place.size > 1``).  ``corner_time``: see :func:`must_have_hit`.  ``outside_time`` (s): a
     captured tip is outside the capture zone again once it has been outside for this long.
     """
     t, axial, lateral = place.t, place.axial, place.lateral
@@ -365,7 +365,7 @@ def decide(criteria, memory, place, has_rested, corner_time, outside_time):
         return
 
     if distance - memory.nearest - GUARD * unsure > criteria.leave:
-        if memory.state == CaptureState.CONTACT or hit_unseen(criteria, memory, corner_time):
+        if memory.state == CaptureState.CONTACT or must_have_hit(criteria, memory, corner_time):
             enter(memory, CaptureState.REBOUND, Cause.RETREATED, t, memory.nearest)
         else:
             enter(memory, CaptureState.MISSED, Cause.MOVED_AWAY, t, memory.nearest)
@@ -393,7 +393,7 @@ def decide_at_end(criteria, memory, corner_time, cut):
     is_still = memory.speed < criteria.still_speed
     moves_out = memory.outwards > 0.0 and not is_still
     is_outside = memory.distance > criteria.radius
-    hit = hit_unseen(criteria, memory, corner_time)
+    hit = must_have_hit(criteria, memory, corner_time)
     has_met = memory.state == CaptureState.CONTACT or (
         hit if moves_out else is_still and memory.nearest_gap < criteria.contact_gap
     )

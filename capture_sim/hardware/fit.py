@@ -164,5 +164,5 @@ def _friction(
     force: np.ndarray, tangential: np.ndarray, slip: np.ndarray, prior: WallLaw, sigma: float
 ) -> float:
     """Return the coefficient of friction, by least squares with the prior as a measurement."""
-    drive = -force * prior.grips(slip) / sigma
+    drive = -force * prior.friction_shares(slip) / sigma
     return max(float((drive @ tangential / sigma + prior.friction) / (drive @ drive + 1.0)), 0.0)

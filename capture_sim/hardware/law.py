@@ -33,10 +33,10 @@ def _wall_forces(
 
 
 @entry_kernel
-def _grips(slip: np.ndarray, grip: np.ndarray) -> None:
+def _friction_shares(slip: np.ndarray, shares: np.ndarray) -> None:
     """Write the regularised friction of a coefficient 1 at each slip over slip_speed."""
     for i in range(slip.size):
-        grip[i] = friction_coefficient(slip[i], 1.0, 0.0, FrictionLaw.TANH)
+        shares[i] = friction_coefficient(slip[i], 1.0, 0.0, FrictionLaw.TANH)
 
 
 class Wrench(NamedTuple):
@@ -138,11 +138,11 @@ class WallLaw:
         _wall_forces(depth + self.offset, rate, self.damping, records(self.elastic), force)
         return force
 
-    def grips(self, slip: np.ndarray) -> np.ndarray:
+    def friction_shares(self, slip: np.ndarray) -> np.ndarray:
         """Return friction (n,) as a share of mu F_n, with the sign of the slip (m/s)."""
-        grip = np.empty(len(slip))
-        _grips(slip / self.slip_speed, grip)
-        return grip
+        shares = np.empty(len(slip))
+        _friction_shares(slip / self.slip_speed, shares)
+        return shares
 
     def restitution(self, speed: float) -> float:
         """Return the restitution of a touch at this approach speed (m/s), in closed form."""

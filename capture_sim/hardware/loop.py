@@ -54,7 +54,7 @@ def _load_law() -> None:
     law, some = WallLaw(1.0, damping=1.0), np.ones(1)
     law.restitution(1.0)
     law.normal_forces(some, some)
-    law.grips(some)
+    law.friction_shares(some)
 
 
 class Loop:
@@ -272,7 +272,7 @@ class Loop:
         self._episodes.end(rows, noise, self.contact.threshold)
 
     def end(self) -> None:
-        """Note of a contact that could not be compared with the rig's that it is so."""
+        """Note a contact that the end of the run leaves without comparison with the rig's."""
         if self._episodes.present is not None:
             self._note("the run ended within a contact: its restitution is not known")
         if self._episodes.is_comparing:

@@ -44,7 +44,7 @@ HINGE_JOINT = "buffer_hinge"
 SLIDE_JOINT = "buffer_slide"
 
 #: Nodes and packages that a RunInfo may list, and characters of each.
-MOST_NAMES, LONGEST_NAME = 100, 200
+MAX_NAMES, LONGEST_NAME = 100, 200
 #: Kinds of messages that are remembered at most: a contact's trace has any number of points.
 MOST_KINDS = 200
 
@@ -161,10 +161,10 @@ class RunDescription:
         values |= {name: tuple(values[name]) for name in _LISTS}
         for name in _LISTS:
             longest = max(map(len, values[name]), default=0)
-            if len(values[name]) > MOST_NAMES or longest > LONGEST_NAME:
+            if len(values[name]) > MAX_NAMES or longest > LONGEST_NAME:
                 raise MessageError(
                     f"RunInfo.{name} = {len(values[name])} texts of up to {longest} characters: "
-                    f"must be at most {MOST_NAMES} of {LONGEST_NAME}"
+                    f"must be at most {MAX_NAMES} of {LONGEST_NAME}"
                 )
         return cls(**values)
 

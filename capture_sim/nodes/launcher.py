@@ -7,7 +7,7 @@ from typing import Any
 
 from rclpy.parameter import Parameter
 
-from capture_sim.base.files import why_no_folder
+from capture_sim.base.files import folder_problem
 from capture_sim.errors import SceneError
 from capture_sim.launcher.state_machine import LaunchSettings
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, RECORDER
@@ -49,7 +49,7 @@ class LauncherNode(BenchNode):
         )
         scene = declare_scene(self, "of trials whose goal names none")
         text = "folder of scenes that a goal may name besides the packaged ones"
-        scenes = self.declare_path("scene_folder", "", text, "a folder", why_no_folder)
+        scenes = self.declare_path("scene_folder", "", text, "a folder", folder_problem)
         limits = self.declare_fields(TrialLimits())
         needs_client = self.declare(
             "require_client",

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from capture_sim.base.exit_status import FAILED, OK
-from capture_sim.base.files import why_no_file, why_not_writable
+from capture_sim.base.files import file_problem, writing_problem
 from capture_sim.errors import CaptureSimError, MessageError, RecordingError, SceneError
 from capture_sim.hardware.guard import Limits
 from capture_sim.hardware.law import TipState, WallLaw, Wrench
@@ -99,9 +99,9 @@ class LoopSimulatorNode(BenchNode):
         )
         kind = "a file or folder that can be written"
         text = "JSON file of the measured values; empty: none"
-        self._report = self.declare_path("report", "", text, kind, why_no_file)
+        self._report = self.declare_path("report", "", text, kind, file_problem)
         text = "MCAP file of the run, or its folder; empty: none"
-        self._record_path = self.declare_path("record", "runs", text, kind, _why_no_record)
+        self._record_path = self.declare_path("record", "runs", text, kind, _record_problem)
         self._t_end = scene.run.t_end
         if method != "model" and not law.stiffness:
             law = WallLaw(0.0, law.exponent, offset=law.offset)  # nothing is known of the walls
@@ -198,7 +198,7 @@ class LoopSimulatorNode(BenchNode):
         loop, deadline = self._loop, time.monotonic() + self._start_timeout
         while loop.answers.n_at_rest < N_AT_REST:
             if time.monotonic() > deadline:
-                raise CaptureSimError(self._why_no_rest())
+                raise CaptureSimError(self._rest_problem())
             self.send(TIP, tip_message(self.messages, loop.t, loop.pose))
             self.wait(limit=FIRST_POSE_PERIOD)
             self._hand_over_answers()
@@ -210,7 +210,7 @@ class LoopSimulatorNode(BenchNode):
             f"{loop.answers.noise:.3g} N; a contact begins at {loop.contact.threshold:.3g} N"
         )
 
-    def _why_no_rest(self) -> str:
+    def _rest_problem(self) -> str:
         answers, away, limit = self._loop.answers, self._loop.start_distance, self._start_timeout
         if away > MAX_START_DISTANCE:
             return (
@@ -272,9 +272,9 @@ class LoopSimulatorNode(BenchNode):
                 ) from None
 
 
-def _why_no_record(path: Path) -> str:
+def _record_problem(path: Path) -> str:
     """Return the reason why no run can be recorded in a file or folder; empty if one can."""
-    return why_no_file(path) if path.suffix == ".mcap" else why_not_writable(path)
+    return file_problem(path) if path.suffix == ".mcap" else writing_problem(path)
 
 
 main = partial(run, LoopSimulatorNode)

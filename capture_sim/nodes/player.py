@@ -183,11 +183,11 @@ class PlayerNode(BenchNode):
         stamp = self._playback.start
         self._control.begin()
         self._announcer.await_nodes(name, self._start_timeout)
-        cast = self._announcer.cast(
+        taking_part = self._announcer.participants(
             lambda part: not has_streams(part.role) or any(map(part.is_called, self._wait_for))
         )
         skipped = self._playback.skipped(self._offset, self._outlets)
-        adapt_counts = PlayedCounts(cast.publishers, skipped)
+        adapt_counts = PlayedCounts(taking_part.publishers, skipped)
         known = {topic_name: topic_named(topic_name) for topic_name in self._outlets}
         is_ended = False  # the simulator's counts have been played
         self._control.pacer.reset()
@@ -198,7 +198,7 @@ class PlayerNode(BenchNode):
                 self._end_run(is_ended)
                 is_ended = False
                 self._announcer.announce(
-                    *replayed(data, self._roll.id, cast.participants, cast.publishers)
+                    *replayed(data, self._roll.id, taking_part.participants, taking_part.publishers)
                 )
                 count += 1
                 continue

@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import serialize_message
 
 from capture_sim.base.exit_status import RECORDING_IN
-from capture_sim.base.files import why_not_writable
+from capture_sim.base.files import writing_problem
 from capture_sim.errors import MessageError, RecordingError, one_line
 from capture_sim.messages.definitions import learn_type
 from capture_sim.messages.topics import (
@@ -49,7 +49,7 @@ class RecorderNode(BenchNode, RunPart):
     def __init__(self, **options: Any) -> None:
         super().__init__(RECORDER, **options)
         kind = "a folder that can be written"
-        out = self.declare_path("out", "runs", "folder of the recordings", kind, why_not_writable)
+        out = self.declare_path("out", "runs", "folder of the recordings", kind, writing_problem)
         self._out = out or Path()
         wanted = self.declare(
             "topics",

@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 
 from capture_sim.base.compiled.progress import watch_compilation
 from capture_sim.base.exit_status import FAILED
-from capture_sim.base.files import why_no_folder
+from capture_sim.base.files import folder_problem
 from capture_sim.dynamics.compilation import compile_kernels, is_compiled
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.topics import (
@@ -55,7 +55,7 @@ class SimulatorNode(BenchNode):
             allowed="names of scenes or YAML files, each once",
         )
         text = "folder of scenes that may be set while the node runs; empty: none"
-        self._scene_folder = self.declare_path("scene_folder", "", text, "a folder", why_no_folder)
+        self._scene_folder = self.declare_path("scene_folder", "", text, "a folder", folder_problem)
         overrides = self.declare(
             "overrides",
             list,
@@ -194,7 +194,7 @@ class SimulatorNode(BenchNode):
             if outcome.cut in (CutKind.STOPPED, CutKind.QUITTING):
                 return False
             if failed and (not self._exit_when_done or self._runs.has_dropped_participants()):
-                break  # somebody ought to look first
+                break  # the operator decides what to do about it before the next run begins
         self.control.finish()
         return True
 

@@ -129,7 +129,7 @@ def rename_topics(contents: Contents, recorded_names: Mapping[str, str]) -> None
         contents.log_times[name] = contents.log_times.pop(recorded_name)
 
 
-def why_unreadable(channel: Channel, schema: Schema | None) -> str:
+def schema_problem(channel: Channel, schema: Schema | None) -> str:
     """Return why no reader accepts a topic, empty if all do."""
     if not channel.topic.isprintable() or not (schema is None or schema.name.isprintable()):
         return "names of topics and types must be printable characters"
@@ -170,7 +170,7 @@ class _Reader:
         topic, contents = channel.topic, self._contents
         self._topics[channel.id] = topic
         schema = self._schemas.get(channel.schema_id)
-        reason = why_unreadable(channel, schema)
+        reason = schema_problem(channel, schema)
         if not reason and channel.message_encoding != CDR:  # the type does not describe other bytes
             reason = f"messages are encoded as {channel.message_encoding!r}, must be {CDR}"
         if reason:

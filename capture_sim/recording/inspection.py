@@ -67,7 +67,7 @@ class Row:
     use: str  # what it is used for, or why it is left out
 
 
-def rows_of(bag: Bag, run: Run) -> list[Row]:
+def series_rows(bag: Bag, run: Run) -> list[Row]:
     """Return a row for each topic of a recording, in the order of their names."""
     left_out = {d.topic: d.rule.name for d in run.doubts if d.leaves_out_topic}
     return [_row(bag, run, name, left_out) for name in sorted(bag.topics)]
@@ -146,7 +146,7 @@ def as_data(bag: Bag, run: Run) -> dict[str, object]:
         "recording": str(bag.path),
         "scene": None if run.given_scene is None else run.given_scene.name,
         "problems": [*bag.left_out, *bag.problems],
-        "series": [vars(row) for row in rows_of(bag, run)],
+        "series": [vars(row) for row in series_rows(bag, run)],
         "doubts": [_doubt(doubt) for doubt in run.doubts],
         "missing": missing_for(run),
     }

@@ -132,7 +132,10 @@ def _other_kind(head: bytes, path: Path, reason: str) -> str:
 
 
 def head_metadata(path: Path) -> dict[str, Mapping[str, str]]:
-    """Return the metadata records before a file's first message, by name; none of another file."""
+    """Return the metadata records that precede a file's first message, by name.
+
+    A file that is no MCAP file has none.
+    """
     found: dict[str, Mapping[str, str]] = {}
     with suppress(Exception):  # whatever it is, it is no recording
         for part in scan(path, 1.0):

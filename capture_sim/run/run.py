@@ -44,7 +44,7 @@ from capture_sim.run.reconstruction import (
 from capture_sim.run.series import NO_SERIES, STATE, Series, SeriesBySource
 from capture_sim.run.summary import end_and_residual, sample_rate, summarize
 from capture_sim.run.summary_table import heads
-from capture_sim.run.summary_table import rows as rows_of
+from capture_sim.run.summary_table import rows as table_rows
 from capture_sim.run.touches import (
     MIN_SAMPLES,
     Touches,
@@ -552,7 +552,7 @@ class Run:
         """The summary as a table, for a notebook."""
         head = f"<caption>{html.escape(self.scene.title)}</caption>"
         # a second column of values where a latch closed
-        columns = rows_of([self.summary])
+        columns = table_rows([self.summary])
         lines = (
             f"<tr><th>{' '.join(filter(None, (group, name)))}</th>"
             f"{''.join(f'<td>{html.escape(cell)}</td>' for cell in cells)}<td>{unit}</td></tr>"

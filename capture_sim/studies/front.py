@@ -44,7 +44,7 @@ def knee(points: np.ndarray) -> int:
     return int(_scaled(points).sum(axis=1).argmin())
 
 
-def rows_of(points: np.ndarray, most: int, marked: Sequence[int] = ()) -> list[int]:
+def spread_points(points: np.ndarray, most: int, marked: Sequence[int] = ()) -> list[int]:
     """Return the indices of at most ``most`` points spread over a front.
 
     These are its ends, the marked points, and then always the point farthest from those before.

@@ -51,7 +51,7 @@ SHARES = (0.0, *np.geomspace(3e-3, 20.0, 36).tolist())
 _RANGE = ((1.0, 1e6), (0.1, 1e6))
 _GRID = (np.geomspace(20.0, 2e4, 7), np.geomspace(5.0, 2e4, 7))
 _RESTARTS = 4  # from the best of the grid
-_MOST_HYBRID, _MOST_SIMPLEX = 25, 120  # runs
+_MAX_HYBRID_RUNS, _MAX_SIMPLEX_RUNS = 25, 120  # runs
 _FIRST_STEP = 0.2  # of the springs' logarithms, see MINPACK's `factor`
 _BOUND_TOLERANCE = 0.01  # relative, of the interval of dampers that capture
 _PROMISING, _PARTS = 6, 12  # where no damper is good: those to search next to, parts between
@@ -294,7 +294,7 @@ def find_springs(
         return residual_of(*np.exp(np.clip(unit * z, low, high)).tolist()).copy()
 
     def converge(z: np.ndarray) -> None:
-        options = {"maxfev": _MOST_HYBRID, "factor": _FIRST_STEP, "xtol": 1e-6}
+        options = {"maxfev": _MAX_HYBRID_RUNS, "factor": _FIRST_STEP, "xtol": 1e-6}
         root(residual, z, jac=lambda z: -np.eye(2), method="hybr", options=options)
 
     def variables(springs: Springs) -> np.ndarray:
@@ -318,7 +318,7 @@ def find_springs(
                     lambda z: float(np.sum(residual(z) ** 2)),
                     variables(best),
                     method="Nelder-Mead",
-                    options={"initial_simplex": corners, "maxfev": _MOST_SIMPLEX},
+                    options={"initial_simplex": corners, "maxfev": _MAX_SIMPLEX_RUNS},
                 )
     except _ConvergedError:
         pass

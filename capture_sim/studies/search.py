@@ -18,7 +18,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.studies.candidates import Archive, Candidate, Evaluator, Requirements, costs_of
 from capture_sim.studies.coverage import cover, undecided
 from capture_sim.studies.dispersion import Probability
-from capture_sim.studies.front import knee, layers, rows_of
+from capture_sim.studies.front import knee, layers, spread_points
 from capture_sim.studies.limit_costs import ACTIVE
 from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.refinement import Goal, Points, refine
@@ -349,7 +349,7 @@ class Search:
         front = costs[layers(costs)[0]]
         at_knee = front[knee(front)]
         if len(self._objectives) > 2 or count < 3:
-            shown = front[rows_of(front, count, [knee(front)])]
+            shown = front[spread_points(front, count, [knee(front)])]
             last = len(self._objectives) - 1
             inner = [
                 Goal(_weights(last, last + 1), (*(point[:-1] - _TIGHTER), math.inf))
@@ -525,5 +525,5 @@ def _promising(points: Points, requirements: Requirements) -> list[int]:
         return max((each.use(loads[each.key]) for each in requirements.limits), default=0.0)
 
     by_margin = sorted(feasible.tolist(), key=largest_use)
-    chosen = [front[k] for k in rows_of(points.costs[front], 20)]
+    chosen = [front[k] for k in spread_points(points.costs[front], 20)]
     return list(dict.fromkeys([*chosen, *by_margin[:20]]))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from capture_sim.base.files import NAME_BYTES, file_name, free_path, whole_file, why_no_file
+from capture_sim.base.files import NAME_BYTES, file_name, file_problem, free_path, whole_file
 
 
 @given(st.text())
@@ -80,11 +80,11 @@ def test_of_many_writers_one_has_the_name_and_all_are_whole(tmp_path):
 
 def test_why_a_file_cannot_be_written(tmp_path):
     path = tmp_path / "report.json"
-    assert not why_no_file(path)
+    assert not file_problem(path)
     assert not path.exists()
     path.write_text("kept")
-    assert not why_no_file(path)
+    assert not file_problem(path)
     assert path.read_text() == "kept"
-    assert why_no_file(tmp_path) == "it is a folder"
-    assert why_no_file(tmp_path / "no" / "a.json") == f"{tmp_path / 'no'} is not a folder"
-    assert why_no_file(path / "a.json") == f"{path} is not a folder"
+    assert file_problem(tmp_path) == "it is a folder"
+    assert file_problem(tmp_path / "no" / "a.json") == f"{tmp_path / 'no'} is not a folder"
+    assert file_problem(path / "a.json") == f"{path} is not a folder"

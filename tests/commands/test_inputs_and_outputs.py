@@ -8,7 +8,7 @@ import pytest
 from bags import in_two_files
 
 import capture_sim
-from capture_sim.base.files import whole_file, why_not_writable
+from capture_sim.base.files import whole_file, writing_problem
 from capture_sim.cli import main
 from capture_sim.errors import RecordingError
 from capture_sim.recording.offline import write_run
@@ -68,12 +68,12 @@ def test_rejected_command_leaves_no_folder(command, tmp_path, capsys):
 
 
 def test_why_a_folder_cannot_be_written(tmp_path):
-    assert why_not_writable(tmp_path / "a" / "b") == ""
+    assert writing_problem(tmp_path / "a" / "b") == ""
     (tmp_path / "file").write_text("")
-    assert why_not_writable(tmp_path / "file") == "it is a file"
-    assert "is a file" in why_not_writable(tmp_path / "file" / "b")
-    assert why_not_writable(Path("/proc/x")) == "/proc takes no new files"
-    assert why_not_writable(tmp_path / ("n" * 300))
+    assert writing_problem(tmp_path / "file") == "it is a file"
+    assert "is a file" in writing_problem(tmp_path / "file" / "b")
+    assert writing_problem(Path("/proc/x")) == "/proc takes no new files"
+    assert writing_problem(tmp_path / ("n" * 300))
     assert [each.name for each in tmp_path.iterdir()] == ["file"]
 
 

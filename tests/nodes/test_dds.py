@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from capture_sim.base.resources import config_dir
 from capture_sim.nodes.base.dds import PEERS, PROFILES, RANGE, configure
-from capture_sim.nodes.base.endpoints import why_incompatible
+from capture_sim.nodes.base.endpoints import qos_problem
 from tests.nodes.bench_processes import Started
 
 LOOPBACK, NETWORK = "fast_dds_loopback.xml", "fast_dds.xml"
@@ -144,6 +144,6 @@ def test_a_node_opens_no_port_to_the_network_and_plain_nodes_find_it():
 def test_profiles_between_which_no_message_comes(offered, requested, word):
     # DDS gives the durations of a reader that sets none as infinite
     requested = {"deadline": Infinite, "liveliness_lease_duration": Infinite, **requested}
-    reason = why_incompatible(QoSProfile(depth=1, **offered), QoSProfile(depth=1, **requested))
+    reason = qos_problem(QoSProfile(depth=1, **offered), QoSProfile(depth=1, **requested))
     assert word in reason.lower()
     assert (reason == "") is (word == "")

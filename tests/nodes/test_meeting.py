@@ -271,7 +271,7 @@ def test_a_node_that_is_still_starting_is_no_plain_one(node, announcing):
     node.at(0.8 * STARTING_TIME, join)
     announcing.await_nodes("tilt_0", 60.0)
     assert node.now == pytest.approx(0.8 * STARTING_TIME, abs=0.1)
-    assert announcing.cast().roles == ("launcher",)
+    assert announcing.participants().roles == ("launcher",)
 
 
 def test_subscriptions_that_have_just_come_may_not_be_all(node, announcing):
@@ -361,7 +361,7 @@ def test_a_role_that_is_named_twice_is_waited_for_twice(node):
     node.at(5.0, lambda: join("/recorder#2"))
     announcing.await_nodes("tilt_0", 60.0)
     assert node.now == pytest.approx(5.0, abs=0.1)
-    assert announcing.cast().participants == ("/recorder#1", "/recorder#2")
+    assert announcing.participants().participants == ("/recorder#1", "/recorder#2")
 
 
 def test_a_run_is_refused_if_one_of_two_recorders_does_not_join(node):

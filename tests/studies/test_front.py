@@ -7,7 +7,7 @@ import pytest
 
 from capture_sim import SceneError
 from capture_sim.studies.candidates import Candidate, Requirements
-from capture_sim.studies.front import knee, layers, rows_of
+from capture_sim.studies.front import knee, layers, spread_points
 from capture_sim.studies.limit_costs import limit_costs
 from capture_sim.studies.limits import make_limits, make_objectives
 from capture_sim.studies.variables import Variable
@@ -27,12 +27,12 @@ def test_the_knee_is_the_corner_and_rows_are_spread_with_the_ends():
     front = np.column_stack([x, np.maximum(1.0 - 4.0 * x, 0.25 * (1.0 - x) / 0.9375 * 0.8)])
     at = knee(front)
     assert front[at, 0] == pytest.approx(0.21, abs=0.03)
-    rows = rows_of(front, 7, [at])
+    rows = spread_points(front, 7, [at])
     assert len(rows) == 7
     assert {0, 100, at} <= set(rows)
     assert rows == sorted(rows)
     assert np.diff(front[rows, 0]).max() < 0.45
-    assert rows_of(front[:1], 12) == [0]
+    assert spread_points(front[:1], 12) == [0]
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def qos_of(topic: Topic, *, transient_local: bool | None = None) -> QoSProfile:
     )
 
 
-def why_incompatible(offered: QoSProfile, requested: QoSProfile) -> str:
+def qos_problem(offered: QoSProfile, requested: QoSProfile) -> str:
     """Return why a reader gets nothing from a publisher, by their profiles; empty if it does.
 
     Durations that a profile leaves at their default, 0, are infinite once its publisher exists.

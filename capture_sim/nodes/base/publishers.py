@@ -19,7 +19,7 @@ from capture_sim.nodes.base.endpoints import (
     full_name,
     message_class,
     qos_of,
-    why_incompatible,
+    qos_problem,
 )
 
 #: How a reader's full queue shows in rclpy's error; every other one is an error.
@@ -96,7 +96,7 @@ class Publishers:
         return [
             full_name(reader)
             for reader in self._node.get_subscriptions_info_by_topic(name)
-            if not why_incompatible(offered, reader.qos_profile)
+            if not qos_problem(offered, reader.qos_profile)
         ]
 
     def drain(self, limit: float) -> list[Topic]:

@@ -41,7 +41,7 @@ class TrialOnError(CaptureSimError):
     """A trial of a real bench is on: nothing else may publish."""
 
 
-class Cast:
+class Participants:
     """Who takes part in a run, besides the node that announces it: roles, and ids, see Roll."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
@@ -150,11 +150,11 @@ class Announcer:
         self._check_trials()
         self.await_none(name, self._missing, limit)
 
-    def cast(self, chosen: Callable[[Part], bool] = lambda part: True) -> Cast:
+    def participants(self, chosen: Callable[[Part], bool] = lambda part: True) -> Participants:
         """Return who is there to take part; CaptureSimError during a trial of a real bench."""
         self._check_trials()
         self._is_on = True
-        return Cast([part for part in self._roll.free(self._source) if chosen(part)])
+        return Participants([part for part in self._roll.free(self._source) if chosen(part)])
 
     def announce(self, run: RunDescription, data: bytes) -> None:
         """Announce a run and wait until all participants are ready.

@@ -36,7 +36,7 @@ HEARING_TIMEOUT = 2.0
 FREE_TIMEOUT = 8.0
 #: A node repeats its part so often, s (wall); one that is not heard for so long is named.
 SIGN_PERIOD, SILENCE_LIMIT = 1.0, 5.0
-#: Of namesakes, more than are discovered, those that were heard within this time, s (wall), count.
+#: Of nodes of one name, more than are discovered, those heard within this time, s (wall), count.
 NAMESAKE_LIMIT = 3.0 * SIGN_PERIOD
 FREE, READY, DONE = 0, 1, 2
 
@@ -265,8 +265,9 @@ class Roll:
     def is_there(self, participant: str) -> bool:
         """Return True if a participant's publisher is there.
 
-        Of namesakes the newest are, and those that were just heard: on a busy machine the newest is
-        heard before it is discovered, and takes no other's place.
+        Of several nodes of one name, the newest are there, and those that were heard a moment ago.
+        On a busy machine a new node can be heard before it is discovered; it then must not replace
+        an older node of its name.
         """
         name = node_of(participant)
         count = self._nodes()[name] - (

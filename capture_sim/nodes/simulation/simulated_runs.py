@@ -156,20 +156,20 @@ class SimulatedRuns:
 
     def _begin_run(self, scene: Scene) -> tuple[BenchTelemetry, bool]:
         """Announce the run; return its telemetry, and True if a launcher arms and releases."""
-        cast = self._announcer.cast()
+        taking_part = self._announcer.participants()
         run_id = f"{number_of(self._roll.id)}{next(self._numbers):08x}"
         description = RunDescription.of(
             scene,
             run_id,
-            [SIMULATOR, *cast.publishers],
+            [SIMULATOR, *taking_part.publishers],
             announcer=self._roll.id,
-            participants=cast.participants,
+            participants=taking_part.participants,
         )
         self._launcher.begin(run_id, scene)
         telemetry = BenchTelemetry(self._node.messages, scene, description)
         self._model.begin(scene)
         self._announcer.announce(description, telemetry.begin().data)
-        return telemetry, LAUNCHER in cast.roles
+        return telemetry, LAUNCHER in taking_part.roles
 
     def _simulate(self, bench: Bench, telemetry: BenchTelemetry) -> str:
         """Send the run; return why it failed, or an empty text."""

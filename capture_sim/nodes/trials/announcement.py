@@ -12,7 +12,7 @@ from capture_sim.messages.convert import LaunchAction, RunDescription
 from capture_sim.messages.telemetry import LauncherTelemetry
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, RECORDER, RunSource
 from capture_sim.nodes.base.node import BenchNode
-from capture_sim.nodes.protocol.announcer import Announcement, Cast
+from capture_sim.nodes.protocol.announcer import Announcement, Participants
 from capture_sim.nodes.protocol.roll import DONE, READY, Roll, RunReport
 from capture_sim.trial.trial import Trial, TrialPhase, TrialStep
 
@@ -33,7 +33,7 @@ class TrialAnnouncement:
         self._required = sorted(required)
         self._node, self._roll = node, roll
         self._announced: Announcement | None = None
-        self._cast = Cast([])
+        self._taking_part = Participants([])
         self._absent: list[str] = []  # a line for each node that is there, but in another run
         self._telemetry: LauncherTelemetry
         self._is_closed = self._is_delivered = False
@@ -84,7 +84,7 @@ class TrialAnnouncement:
         """Return the fields of the result of a trial that is over."""
         trial, reports = self.trial, self._announced.reports() if self._announced else []
         verdict, reason = trial.outcome
-        if CAPTURE_DETECTOR not in self._cast.roles and trial.is_released:
+        if CAPTURE_DETECTOR not in self._taking_part.roles and trial.is_released:
             reason = reason or "no capture_detector takes part"
         files = [report.file for report in reports if report.file]
         problems = [*self._absent, *trial.problems, *trial.sensor_problems, *trial.doubts]
@@ -134,15 +134,15 @@ class TrialAnnouncement:
     def _announce(self) -> None:
         """Announce the trial to all nodes that take part in trials."""
         goal = self.trial.goal
-        self._cast = cast = Cast(self._roll.free(RunSource.TRIAL))
+        self._taking_part = taking_part = Participants(self._roll.free(RunSource.TRIAL))
         self._absent = self._absences((CAPTURE_DETECTOR, RECORDER))
         run = RunDescription.of(
             self.trial.scene,
             uuid.uuid4().hex,
-            sorted({LAUNCHER, *cast.publishers}),
+            sorted({LAUNCHER, *taking_part.publishers}),
             source=RunSource.TRIAL,
             announcer=self._roll.id,
-            participants=sorted({self._roll.id, *cast.participants}),
+            participants=sorted({self._roll.id, *taking_part.participants}),
         )
         run = replace(
             run, name=goal.name, note=goal.note, expected=goal.expected, waived=self.trial.waived

@@ -29,7 +29,7 @@ from capture_sim.nodes.base.endpoints import (
     full_name,
     message_class,
     qos_of,
-    why_incompatible,
+    qos_problem,
 )
 from capture_sim.nodes.base.node import LOOK_UP_PERIOD, BenchNode
 from capture_sim.nodes.trials.evidence import Evidence, refusing
@@ -274,7 +274,7 @@ class TrialBench:
                     mismatches[topic.name] = problem
         self.interlocks.note_publishers(nodes, mismatches)
         readers = self._node.get_subscriptions_info_by_topic(self._node.resolve_topic_name(HOLD))
-        problems = {full_name(end): _why_not_reached(end) for end in readers}
+        problems = {full_name(end): _hold_problem(end) for end in readers}
         wrong = {node: problem for node, problem in problems.items() if problem}
         drivers = _names(readers) - self._suite() - {self._node.get_fully_qualified_name()}
         self.interlocks.readers.note(drivers - wrong.keys(), wrong, time.monotonic())
@@ -309,11 +309,11 @@ def _names(ends: Sequence[Any]) -> set[str]:
     return {full_name(end) for end in ends if UNKNOWN not in end.node_name}
 
 
-def _why_not_reached(reader: Any) -> str:
+def _hold_problem(reader: Any) -> str:
     """Return why no launcher/hold reaches a reader, e.g. one with a deadline; empty if it does."""
     if reader.topic_type != BOOL:
         return f"reads {reader.topic_type}"
-    reason = why_incompatible(TRANSIENT_LOCAL, reader.qos_profile)
+    reason = qos_problem(TRANSIENT_LOCAL, reader.qos_profile)
     return reason and f"requests another quality of service: {reason}"
 
 
@@ -329,5 +329,5 @@ def _mismatch(topic: Topic, publisher: Any) -> str:
         return f"{text}: relay it, as in examples/{relay}" if relay and is_pose else text
     wanted = qos_of(topic)
     wanted.reliability = publisher.qos_profile.reliability
-    reason = why_incompatible(publisher.qos_profile, wanted)
+    reason = qos_problem(publisher.qos_profile, wanted)
     return reason and f"{full_name(publisher)} offers another quality of service: {reason}"
