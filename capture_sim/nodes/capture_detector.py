@@ -26,15 +26,12 @@ from capture_sim.nodes.base.diagnostics import Level, Status
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.base.parameters import ParameterError, declare_scene
 from capture_sim.nodes.base.process import run
-from capture_sim.nodes.base.sources import SourceDiagnostics
+from capture_sim.nodes.base.sources import SOURCES_TIMEOUT, SourceDiagnostics
 from capture_sim.nodes.protocol.ends import RunEnd
 from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
 from capture_sim.nodes.protocol.roll import RunReport
 from capture_sim.scene.parts import Detector
 
-#: A trial begins without measurements after this long, s (wall), e.g. where cameras see the cone
-#: alone.
-SOURCES_TIMEOUT = 3.0
 #: As many measurements are evaluated together at most: then other callbacks are due.
 MAX_BATCH = 200
 #: The detector's warnings are looked at this often, s (wall).

@@ -16,10 +16,12 @@ from capture_sim.base.exit_status import RECORDING_IN
 from capture_sim.base.files import writing_problem
 from capture_sim.errors import MessageError, RecordingError, one_line
 from capture_sim.messages.definitions import learn_type
+from capture_sim.messages.measurements import TOPICS_OF_SOURCE
 from capture_sim.messages.topics import (
     CAPTURE_DETECTOR,
     HOLD,
     LAUNCHER,
+    LOAD_CELL,
     RECORDER,
     RUN_INFO,
     STREAM_COUNTS,
@@ -33,7 +35,7 @@ from capture_sim.messages.topics import (
 from capture_sim.nodes.base.endpoints import TRANSIT_TIME, from_bytes, is_own
 from capture_sim.nodes.base.node import LOOK_UP_PERIOD, BenchNode
 from capture_sim.nodes.base.process import run
-from capture_sim.nodes.base.sources import SourceDiagnostics
+from capture_sim.nodes.base.sources import SOURCES_TIMEOUT, SourceDiagnostics
 from capture_sim.nodes.protocol.ends import EndKind, RunEnd
 from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
 from capture_sim.nodes.protocol.roll import RunReport
@@ -99,6 +101,8 @@ class RecorderNode(BenchNode, RunPart):
         """Open the file and write the run's description."""
         for name in sorted(self._sought):
             self.get_logger().warning(f"{run.name}: {name} is not recorded: it has no publisher")
+        if run.info.source == RunSource.TRIAL:
+            self._await_sensors()
         self._recorder, self._failure, self._first_after_end = None, "", None
         try:
             recorder = LiveRecorder(
@@ -117,6 +121,21 @@ class RecorderNode(BenchNode, RunPart):
         self.get_logger().info(f"{run.name}: {RECORDING_IN}{recorder.path}")
         for topic, data in self._kept.items():
             self._write(topic, data)
+
+    def _await_sensors(self) -> None:
+        """Wait for a message of each sensor, so that nothing is let go before it is recorded.
+
+        A recorder that has just started may know the launcher before it has found the drivers.
+        """
+        listed = [
+            [topic for topic in topics if topic in self._required]
+            for topics in (*TOPICS_OF_SOURCE.values(), (LOAD_CELL,))
+        ]
+
+        def all_heard() -> bool:
+            return all(any(map(self._sources.is_fresh, topics)) for topics in listed if topics)
+
+        self.wait(lambda: self._follower.has_ended or all_heard(), SOURCES_TIMEOUT)
 
     def is_complete(self) -> bool:
         """Return True if all publishers have ended the run and all their messages have come."""

@@ -52,6 +52,7 @@ class TrialStep(Enum):
     RELEASE = "release"
     ABORT = "abort"
     CLOSE = "close"  # report to the other nodes that the trial has ended
+    WITHDRAW = "withdraw"  # the same before a release: the trial may be announced once more
 
 
 @dataclass(frozen=True)
@@ -354,7 +355,10 @@ class Trial:
     def _prepare(self, now: float, in_phase: float) -> list[TrialStep]:
         """Announce the trial once all is fresh; release once the other nodes have joined."""
         if self._is_announced and self._lost:
-            return self._fail(f"not released: {'; '.join(self._lost.values())}", now)
+            # one that was killed, and perhaps started again since: the next announcement has it
+            self._is_announced, self._are_others_ready = False, False
+            self._absent, self._lost = "; ".join(self._lost.values()), {}
+            return [TrialStep.WITHDRAW]
         refusal = self._refusal(now)
         if refusal or (self._is_announced and not self._are_others_ready):
             if in_phase > self._limits.start_timeout:

@@ -1,13 +1,21 @@
 """How nodes meet for a run, without DDS: who waits for whom, and who does not come."""
 
 import math
+from functools import partial
 
 import pytest
 
 from capture_sim import load_scene
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.convert import RunDescription
-from capture_sim.messages.topics import BENCH_STATE, ROLL, RUN_INFO, STREAM_COUNTS, RunSource
+from capture_sim.messages.topics import (
+    BENCH_STATE,
+    CHASER_POSE,
+    ROLL,
+    RUN_INFO,
+    STREAM_COUNTS,
+    RunSource,
+)
 from capture_sim.nodes.base.endpoints import DISCOVERY_TIME, TRANSIT_TIME, message_class
 from capture_sim.nodes.protocol import announcer, follower, roll
 from capture_sim.nodes.protocol.announcer import ALONE_TIME, STARTING_TIME, Announcer
@@ -115,6 +123,37 @@ def test_a_node_is_ready_once_it_has_heard_all_and_begins_once_all_are_ready(nod
     assert ready == pytest.approx(4.0, abs=0.1)
     assert following.part.begun == pytest.approx(7.0, abs=0.1)
     assert not [line for line in node.log.lines if "has not joined" in line]
+
+
+def test_a_trial_does_not_begin_by_what_drivers_send_in_any_case(node):
+    """The recorder, which is slow, would miss the detector's criteria; of a simulator it begins."""
+    part = Part(node)
+    following = Follower(node, "capture_detector", part, list(RunSource))
+    heard = []
+    following.follow(CHASER_POSE, heard.append)
+    following.join()
+    run = RunDescription.of(
+        load_scene("tilt_0"),
+        "a trial",
+        (),
+        source=RunSource.TRIAL,
+        announcer="/launcher#1",
+        participants=sorted((following.roll.id, OTHER, "/recorder#1")),
+    )
+    node.publishers += ["/launcher", "/recorder"]
+    node.at(1.0, lambda: node.hear(RUN_INFO, node.messages.run_info(run)))
+    for t in (2.0, 3.0, 8.0):
+        node.at(t, lambda t=t: node.hear(CHASER_POSE, t))
+    for who in (OTHER, "/recorder#1"):
+        node.at(1.5, lambda who=who: node.hear(ROLL, part_of(FREE, participant=who)))
+    ready = partial(part_of, READY, run_key(run))
+    node.at(2.5, lambda: node.hear(ROLL, ready(OTHER)))
+    node.at(7.0, lambda: node.hear(ROLL, ready("/recorder#1")))
+    node.at(12.0, node.end_request.set)
+    with pytest.raises(KeyboardInterrupt):
+        following.work()
+    assert part.begun == pytest.approx(7.0, abs=0.1)
+    assert heard == [8.0]
 
 
 def test_who_does_not_join_is_named_and_the_run_begins(node, following):

@@ -22,6 +22,9 @@ from capture_sim.trial.interlocks import SourceMonitor, TrialLimits
 MAX_LAG = 0.5
 #: The quickest one is that of as many publications: a driver may start again with another clock.
 LAG_PERIODS = 60
+#: A trial begins without measurements after this long, s (wall), e.g. where cameras see the cone
+#: alone.
+SOURCES_TIMEOUT = 3.0
 
 
 @dataclass

@@ -188,6 +188,8 @@ class Follower:
                 watch(message)
             if present is not None:
                 if not present.has_begun:
+                    if present.run.info.source == RunSource.TRIAL:
+                        return  # drivers send in any case: nothing says that all have joined
                     self._begin(present)
                 present.streams.add(topic, None)
                 present.note_message(topic)

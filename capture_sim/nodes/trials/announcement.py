@@ -18,6 +18,8 @@ from capture_sim.trial.trial import Trial, TrialPhase, TrialStep
 
 #: A participant that has left a trial without a report.
 GONE = "gone without a report: killed, or its network is down"
+#: Why a trial is announced once more before its release.
+WITHDRAWN = "a node that was to take part has gone: announced again once another one is there"
 
 
 class TrialAnnouncement:
@@ -54,7 +56,11 @@ class TrialAnnouncement:
                 self._node.publish(self._telemetry.command(0.0, LaunchAction.ABORT, launcher.plan))
                 self._node.publish(*self._telemetry.status(0.0, launcher.status))
             case TrialStep.CLOSE:
-                self._close()
+                self._close(self.trial.failure)
+            case TrialStep.WITHDRAW:
+                self._close(WITHDRAWN)
+                self._announced, self._is_closed = None, False
+                self._node.get_logger().warning(f"{self.trial.goal.name}: {WITHDRAWN}")
 
     def report_launch(self) -> None:
         """Publish the state of the launch by the poses since the last call."""
@@ -152,10 +158,9 @@ class TrialAnnouncement:
         self._roll.report(READY, run)
         self._node.get_logger().info(f"{goal.name}: {self.trial.launcher.plan.text}")
 
-    def _close(self) -> None:
-        """Send the counts of the launcher's messages, and that no run is on."""
+    def _close(self, failure: str) -> None:
+        """Send the counts of the launcher's messages, and that no run is on; and why, if early."""
         assert self._announced is not None
-        failure = self.trial.failure
         self._node.publish(self._telemetry.end(failure))
         self._announced.close()
         self._roll.report(DONE, self._announced.run, RunReport((failure,) if failure else ()))
