@@ -134,15 +134,15 @@ class Kernels:
     def seconds(self) -> float:
         """Return the processor time of the kernels of all runs, s."""
         from capture_sim.base.compiled.kernels import records
-        from capture_sim.dynamics.engine.state import Status
+        from capture_sim.dynamics.engine.state import StepStatus
         from capture_sim.dynamics.samples import SAMPLE
 
         spent, room = 0.0, records(np.zeros(1, SAMPLE))
         for record, last in self._runs:
             workspace, times = record.copy(), np.array([last])
             progress = workspace[0]["progress"]
-            began, status = time.process_time(), Status.INTERRUPTED
-            while status == Status.INTERRUPTED:
+            began, status = time.process_time(), StepStatus.INTERRUPTED
+            while status == StepStatus.INTERRUPTED:
                 progress["n_log"] = 0
                 self._advance(workspace, times, room, room[:0])
                 status = progress["status"]

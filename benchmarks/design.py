@@ -51,7 +51,7 @@ from capture_sim.studies.paper_flow import (
     design_first_contact,
     with_buffer,
 )
-from capture_sim.studies.rows import Row
+from capture_sim.studies.rows import DesignRow
 from capture_sim.studies.search import Window
 from capture_sim.studies.sweep import RTOL, Recipe, result_columns, run_rows
 from capture_sim.studies.variables import FREE, make_variables, with_values
@@ -212,7 +212,7 @@ def best_known(name: str, found: Sequence[Candidate]) -> np.ndarray:
     return front
 
 
-def stroke_of(row: Row, trial: Trial) -> float:
+def stroke_of(row: DesignRow, trial: Trial) -> float:
     """Return the stroke that a row may have, m: its own ceiling, or the trial's limit."""
     ceiling = row.goal.ceilings[0] if trial.window is not None else math.inf
     if math.isfinite(ceiling):

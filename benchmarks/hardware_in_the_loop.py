@@ -17,7 +17,7 @@ from benchmarks.pages import table, write_parts
 from capture_sim import load_scene, simulate
 from capture_sim.hardware.law import WallLaw
 from capture_sim.hardware.loop import METHODS, N_AT_REST, Loop
-from capture_sim.hardware.pacing import Pacer, request_priority
+from capture_sim.hardware.pacing import LoopPacer, request_priority
 from capture_sim.hardware.rig import Cell, Rig, Servo, Transport
 from capture_sim.hardware.stage import LoopStage
 from tests.plate import (
@@ -269,7 +269,7 @@ def paced(priority, seconds=10.0):
         loop.receive(*rig.answer(loop.pose)[0])
     loop.begin()
     refused = request_priority(priority) if priority else ""
-    pacer, sent = Pacer(STEP, 10.0, 1.0), []
+    pacer, sent = LoopPacer(STEP, 10.0, 1.0), []
     while loop.t < seconds:
         time.sleep(pacer.time_to_work())
         loop.advance()

@@ -13,7 +13,7 @@ import numpy as np
 
 from capture_sim.base.compiled.kernels import Kernel
 from capture_sim.dynamics.engine import consequences, events, extremes, loop, rail, segment, steps
-from capture_sim.dynamics.engine.state import NO_EVENT, SCRATCH, STEP, Segment, Status
+from capture_sim.dynamics.engine.state import NO_EVENT, SCRATCH, STEP, Segment, StepStatus
 from capture_sim.dynamics.engine.steps import distance_to_edge
 from capture_sim.dynamics.model.equations import (
     N_TOTAL,
@@ -191,7 +191,7 @@ def install():
         @functools.wraps(function)
         def checked(w, *rest):
             result = function(w, *rest)
-            if result is None or result == Status.SERVED:
+            if result is None or result == StepStatus.SERVED:
                 check(w)
             return result
 

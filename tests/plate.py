@@ -4,7 +4,7 @@ import cmath
 import math
 
 from capture_sim import load_scene
-from capture_sim.hardware.guard import Limits
+from capture_sim.hardware.guard import LoopLimits
 from capture_sim.hardware.law import NO_LAW, WallLaw
 from capture_sim.hardware.loop import Loop, run_in_process
 from capture_sim.hardware.rig import IDEAL, Rig, Transport
@@ -14,7 +14,7 @@ from capture_sim.scene.laws import exact_factor
 STEP = 1e-3  # s
 SPEED = 0.1  # m/s
 #: Limits that none of these contacts reaches.
-WIDE = Limits(
+WIDE = LoopLimits(
     1e3, 1e6, 1e6, speed=100.0, acceleration=1e6, latency=1.0, angular_speed=1e3, depth=1.0
 )
 

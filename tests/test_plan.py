@@ -3,6 +3,7 @@
 import ast
 import re
 import tomllib
+from collections import defaultdict
 
 import pytest
 
@@ -70,3 +71,14 @@ def test_the_table_says_where_to_begin(change):
     rows = [line for line in CONTRIBUTING.splitlines() if line.startswith("| ")]
     [row] = [row for row in rows if change in row.split("|")[1]]
     assert re.search(r"`[\w./]+`", row.split("|")[2])
+
+
+def test_each_noun_names_one_class():
+    """As CONTRIBUTING promises; private classes are known in their file alone."""
+    files = defaultdict(list)
+    for path in (ROOT / PACKAGE).rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                files[node.name].append(path.relative_to(ROOT).as_posix())
+    assert {name: paths for name, paths in files.items() if len(paths) > 1} == {}

@@ -83,7 +83,7 @@ from capture_sim.studies.outcome import run_first_contact, run_to_end
 from capture_sim.studies.paper_flow import (
     FirstContactDesign,
     FirstContactTarget,
-    Trial,
+    FlowRun,
     design_first_contact,
     with_buffer,
 )
@@ -565,7 +565,7 @@ def _line_of(objectives: Sequence[Measure]) -> Callable[[Candidate], str]:
     return line
 
 
-def _trial_line(trial: Trial) -> str:
+def _trial_line(trial: FlowRun) -> str:
     return (
         f"k_A {trial.k_A:9.5g}  k_T {trial.k_T:9.5g}  c_A {trial.c_A:8.4g}  "
         f"{trial.axial_stroke * 1e3:8.4f} mm  {trial.torsion * 1e3:8.4f} mrad"
@@ -638,7 +638,7 @@ def _report_first_contact(design: FirstContactDesign) -> None:
 def _keep_first_contact(design: FirstContactDesign, folder: Path) -> None:
     """Write the scene with the designed buffer, and every run of the flow."""
 
-    def plain(trial: Trial) -> dict[str, Any]:
+    def plain(trial: FlowRun) -> dict[str, Any]:
         nearest = None if math.isnan(trial.nearest) else trial.nearest
         return {**dataclasses.asdict(trial), "nearest": nearest}
 

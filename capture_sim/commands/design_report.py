@@ -17,10 +17,10 @@ from capture_sim.run.loads import LOADS, implausible_stroke
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.candidates import CHECK_DRAWS, Candidate
 from capture_sim.studies.design import Design, beaten_by
-from capture_sim.studies.limit_costs import STEPS, Change, LimitCost
+from capture_sim.studies.limit_costs import STEPS, CostChange, LimitCost
 from capture_sim.studies.limits import CAPTURE_RANGE, LOAD_KEYS, Limit, Measure
 from capture_sim.studies.outcome import CAPTURED, Outcome, run_to_end
-from capture_sim.studies.rows import LONGEST, SHARP, Row
+from capture_sim.studies.rows import LONGEST, SHARP, DesignRow
 from capture_sim.studies.variables import DAMPING_RATIO
 
 
@@ -87,7 +87,7 @@ def _front_table(design: Design) -> tuple[list[str], list[list[str]]]:
     details = _details(design)
     head += details
 
-    def cells(name: str, candidate: Candidate, row: Row | None) -> list[str]:
+    def cells(name: str, candidate: Candidate, row: DesignRow | None) -> list[str]:
         loads = [_text_of(each, candidate) for each in measures]
         values = [f"{candidate.values[each.name]:.4g}" for each in variables]
         return [name, *loads, *values, *(show(candidate, row) for show in details.values())]
@@ -102,7 +102,7 @@ def _front_table(design: Design) -> tuple[list[str], list[list[str]]]:
 
 
 #: Text of a candidate, and of its row if it is one, in a column.
-_Show = Callable[[Candidate, Row | None], str]
+_Show = Callable[[Candidate, DesignRow | None], str]
 
 
 def _details(design: Design) -> dict[str, _Show]:
@@ -123,7 +123,7 @@ def _details(design: Design) -> dict[str, _Show]:
     return details
 
 
-def _stays_text(candidate: Candidate, row: Row | None) -> str:
+def _stays_text(candidate: Candidate, row: DesignRow | None) -> str:
     if row is None or row.stays is None:
         return "left" if candidate.left_again else ""
     if not row.stays and row.behind:
@@ -131,7 +131,7 @@ def _stays_text(candidate: Candidate, row: Row | None) -> str:
     return f"{row.stays:g}" if row.stays else "left"
 
 
-def _sharpness_text(row: Row | None) -> str:
+def _sharpness_text(row: DesignRow | None) -> str:
     if row is None or row.sharpness is None:
         return ""
     lost = " lost" if row.sharpness.not_held else ""
@@ -228,7 +228,7 @@ def _costs_section(costs: Sequence[LimitCost], objectives: Sequence[Measure]) ->
     return Section("Limits", [title], head, rows)
 
 
-def _change_text(change: Change) -> str:
+def _change_text(change: CostChange) -> str:
     """Return a change with its error, both with digits enough not to be 0."""
     if math.isnan(change.value):
         return "not found"
@@ -238,7 +238,7 @@ def _change_text(change: Change) -> str:
     return f"{change.value:+.{digits}%} +- {change.error:.{digits}%}"
 
 
-def _buffer_text(design: Design, row: Row) -> str:
+def _buffer_text(design: Design, row: DesignRow) -> str:
     values = dict(row.candidate.values)
     buffer = design.scene_of(row.candidate).buffer
     rebound = buffer.c_A_rebound
@@ -318,7 +318,7 @@ def write_front(
             "left_again": candidate.left_again,
         }
 
-    def plain_row(row: Row) -> dict[str, Any]:
+    def plain_row(row: DesignRow) -> dict[str, Any]:
         return {
             **plain(row.candidate),
             "convergence": row.convergence,

@@ -14,7 +14,7 @@ from capture_sim.errors import CaptureSimError, one_line
 from capture_sim.plausibility.check import check_names, rules_with_scene
 from capture_sim.plausibility.rules import Grade
 from capture_sim.recording.bag import read_bag, remap_of
-from capture_sim.recording.inspection import Row, as_data, missing_for, series_rows
+from capture_sim.recording.inspection import SeriesRow, as_data, missing_for, series_rows
 from capture_sim.recording.read import run_of
 from capture_sim.run.run import Run
 from capture_sim.scene.loading import load_scene
@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     return status
 
 
-def _print_rows(rows: list[tuple[str, Row]]) -> None:
+def _print_rows(rows: list[tuple[str, SeriesRow]]) -> None:
     """Print the topics of all recordings as one table."""
     several = len({path for path, _ in rows}) > 1
     cells = []

@@ -33,7 +33,7 @@ from capture_sim.detection.criteria import (
     reason,
     wall_gap,
 )
-from capture_sim.detection.gate import Gate, Limits, largest_speed
+from capture_sim.detection.gate import Gate, PoseLimits, largest_speed
 from capture_sim.detection.measurements import (
     REORDER,
     Counts,
@@ -119,7 +119,7 @@ class CaptureDetector:
         self._clocks_compared = -_CLOCK_PERIOD  # ns, arrival
         self._withheld: list[Measurement] = []  # while clocks differ
         self._gates = {
-            source: Gate(source, Limits.of(scene, source), self.counts) for source in _POSES
+            source: Gate(source, PoseLimits.of(scene, source), self.counts) for source in _POSES
         }
         self._max_speed = largest_speed(scene) if max_speed is None else max_speed
         self._aligner = Aligner(part.max_data_gap, self.counts)

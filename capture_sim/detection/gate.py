@@ -53,14 +53,14 @@ _N_NOISE = 60
 _SQRT2 = math.sqrt(2.0)
 
 
-class Limits(NamedTuple):
+class PoseLimits(NamedTuple):
     """Largest changes of a vehicle's motion by contacts, for a relative speed of 1 m/s."""
 
     velocity: float  # m/s
     spin: float  # rad/s
 
     @classmethod
-    def of(cls, scene: Scene, source: Source) -> Limits:
+    def of(cls, scene: Scene, source: Source) -> PoseLimits:
         """Return the limits of a vehicle in a scene.
 
         In the frame of the common centre of mass contacts can only turn or reduce the velocities;
@@ -121,7 +121,7 @@ class Jump(NamedTuple):
 class Gate:
     """Passes on the poses of one vehicle that it can have had, in the order of their stamps."""
 
-    def __init__(self, source: Source, limits: Limits, counts: Counts) -> None:
+    def __init__(self, source: Source, limits: PoseLimits, counts: Counts) -> None:
         #: The last jump that stayed.
         self.jump: Jump | None = None
         #: Time up to which every pose is passed on or rejected, s.

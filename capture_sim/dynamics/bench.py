@@ -14,7 +14,7 @@ import numpy as np
 
 from capture_sim.base.compiled.kernels import records
 from capture_sim.dynamics.engine import loop
-from capture_sim.dynamics.engine.state import EVENT, Segment, Status
+from capture_sim.dynamics.engine.state import EVENT, Segment, StepStatus
 from capture_sim.dynamics.engine.step_length import error_scale
 from capture_sim.dynamics.event_log import EventLog, events_in
 from capture_sim.dynamics.memory import STATE_BYTES, Memory, first_state, joined
@@ -44,17 +44,18 @@ _TRACE_ROOM = 1024
 
 #: Why the engine cannot continue, by its status.
 CAUSES = {
-    Status.NOT_FINITE: "the state is no longer finite",
-    Status.STEP_TOO_SMALL: "the step fell below 1e-15 s",
-    Status.TOO_MANY_STEPS: "run.max_steps integrator steps, rejected steps included, are used up",
-    Status.TIP_THROUGH_WALL: "the tip is pressed into a wall by more than 3/4 of its radius: "
+    StepStatus.NOT_FINITE: "the state is no longer finite",
+    StepStatus.STEP_TOO_SMALL: "the step fell below 1e-15 s",
+    StepStatus.TOO_MANY_STEPS: "run.max_steps integrator steps, rejected steps included, are used "
+    "up",
+    StepStatus.TIP_THROUGH_WALL: "the tip is pressed into a wall by more than 3/4 of its radius: "
     "the contact is too soft for this impact",
-    Status.PROBE_IN_HINGE: "the probe is pushed in up to its tip: the scene needs stops, "
+    StepStatus.PROBE_IN_HINGE: "the probe is pushed in up to its tip: the scene needs stops, "
     "or a stiffer buffer",
-    Status.STEP_TOO_LONG: "run.step is too long: the tip may leap over a wall or the latch, "
+    StepStatus.STEP_TOO_LONG: "run.step is too long: the tip may leap over a wall or the latch, "
     "or the contact is not resolved",
-    Status.ENERGY_LOST: "run.step is too long: the energy ledger deviates by more than 2 %",
-    Status.PILE_UP: "more than 100 events fell on one instant",
+    StepStatus.ENERGY_LOST: "run.step is too long: the energy ledger deviates by more than 2 %",
+    StepStatus.PILE_UP: "more than 100 events fell on one instant",
 }
 
 
@@ -291,10 +292,10 @@ class Bench:
                 self._unread.append(joined([self._record["log"][:n_events]]))
             if n_trace:
                 self._traced.append(self._trace_room[:n_trace].copy())
-            if progress["status"] == Status.SERVED:
+            if progress["status"] == StepStatus.SERVED:
                 return samples[:served]
-            if progress["status"] != Status.INTERRUPTED:
-                raise self._failure(Status(int(progress["status"])), samples[:served])
+            if progress["status"] != StepStatus.INTERRUPTED:
+                raise self._failure(StepStatus(int(progress["status"])), samples[:served])
 
     def start_at(self, q: np.ndarray, v: np.ndarray) -> None:
         """Begin at rates ``v`` (8,) in coordinates ``q`` (8,), free of rail and string.
@@ -433,10 +434,10 @@ class Bench:
         del self._unread[checkpoint.n_unread :]
         self._last_time, self._fatal = checkpoint.last_time, None
 
-    def _failure(self, status: Status, partial: np.ndarray) -> SimulationError:
+    def _failure(self, status: StepStatus, partial: np.ndarray) -> SimulationError:
         phase = Phase(int(self._record["sample"]["phase"])).name.lower()
         cause = CAUSES[status]
-        if status in (Status.STEP_TOO_SMALL, Status.TOO_MANY_STEPS):
+        if status in (StepStatus.STEP_TOO_SMALL, StepStatus.TOO_MANY_STEPS):
             step, touch = self._record["step"], self._system["mode"]["touch"]
             stiffest = stiffest_part(
                 self._system["par"],

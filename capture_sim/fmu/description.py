@@ -12,7 +12,7 @@ from pathlib import Path
 from capture_sim.base.files import whole_file
 from capture_sim.base.version import __version__
 from capture_sim.fmu.library import Unit, link, write_sources
-from capture_sim.fmu.variables import Kind, Variable
+from capture_sim.fmu.variables import Kind, UnitVariable
 
 #: Exponents of kg, m, s and rad; FMI knows units by these.
 _UNITS = {
@@ -103,7 +103,7 @@ def description(unit: Unit) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _add(model: ET.Element, reference: int, variable: Variable, causality: str) -> None:
+def _add(model: ET.Element, reference: int, variable: UnitVariable, causality: str) -> None:
     """Add a variable to the ModelVariables."""
     attributes = {"name": variable.name, "valueReference": str(reference), "causality": causality}
     element = _ELEMENTS[variable.kind]

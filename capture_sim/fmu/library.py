@@ -18,10 +18,10 @@ from capture_sim.base.version import __version__
 from capture_sim.detection.criteria import MEMORY, Criteria, new_memory
 from capture_sim.detection.exact import ROW
 from capture_sim.dynamics.bench import CAUSES, Bench
-from capture_sim.dynamics.engine.state import EVENT, WORKSPACE, Status
+from capture_sim.dynamics.engine.state import EVENT, WORKSPACE, StepStatus
 from capture_sim.dynamics.samples import EXTREME_NAMES, SAMPLE, EventKind
 from capture_sim.fmu.machine_code import ENTRIES, FmuError, instructions, machine_code
-from capture_sim.fmu.variables import Variable, inputs, offset_of, outputs, parameters
+from capture_sim.fmu.variables import UnitVariable, inputs, offset_of, outputs, parameters
 from capture_sim.scene.parts import Scene
 
 _SOURCES = Path(__file__).resolve().parent
@@ -48,15 +48,15 @@ class Unit:
     """
 
     scene: Scene
-    parameters: list[Variable]
-    inputs: list[Variable]
-    outputs: list[Variable]
+    parameters: list[UnitVariable]
+    inputs: list[UnitVariable]
+    outputs: list[UnitVariable]
     header: str
     token: str
     portable: bool
 
     @property
-    def variables(self) -> list[Variable]:
+    def variables(self) -> list[UnitVariable]:
         """All of them."""
         return [*self.parameters, *self.inputs, *self.outputs]
 
@@ -141,8 +141,8 @@ def _header(unit: Unit, workspace: np.ndarray, without_walls: np.ndarray) -> str
         "ROW_SIZE": ROW.itemsize,
         "RATE": _number(scene.run.rate),
         "STATUS": offset_of(WORKSPACE, "progress", "status"),
-        "STATUS_SERVED": int(Status.SERVED),
-        "STATUS_INTERRUPTED": int(Status.INTERRUPTED),
+        "STATUS_SERVED": int(StepStatus.SERVED),
+        "STATUS_INTERRUPTED": int(StepStatus.INTERRUPTED),
         "T_STOP": offset_of(WORKSPACE, "progress", "t_stop"),
         "N_LOG": offset_of(WORKSPACE, "progress", "n_log"),
         "LOG": offset_of(WORKSPACE, "log"),
@@ -200,7 +200,7 @@ def _header(unit: Unit, workspace: np.ndarray, without_walls: np.ndarray) -> str
                 "struct { size_t place; uint64_t word; } cs_words[]",
                 (braced((8 * k, f"{after[k]:#x}u")) for k in places_of_words),
             ),
-            table("char *const cs_causes[]", (_c(CAUSES.get(status, "")) for status in Status)),
+            table("char *const cs_causes[]", (_c(CAUSES.get(status, "")) for status in StepStatus)),
             table("cs_variable cs_parameters[]", map(_variable, found)),
             "/* Places of a parameter in the workspace; 0: none. */",
             table(f"size_t cs_places[][{width}]", (braced(v.places) for v in found)),
@@ -213,7 +213,7 @@ def _header(unit: Unit, workspace: np.ndarray, without_walls: np.ndarray) -> str
     )
 
 
-def _variable(variable: Variable) -> str:
+def _variable(variable: UnitVariable) -> str:
     """Return a variable as an initialiser of ``cs_variable``."""
     allowed, cells = variable.allowed, [_c(variable.name), _c(variable.unit), _c(variable.meaning)]
     cells.append(variable.kind.value)

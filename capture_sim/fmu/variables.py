@@ -45,7 +45,7 @@ class Kind(Enum):
 
 
 @dataclass(frozen=True)
-class Variable:
+class UnitVariable:
     """A number of a unit.
 
     Attributes
@@ -100,14 +100,14 @@ def offset_of(record: np.dtype, *names: str) -> int:
 
 #: What the detector says: its names in the memory of the criteria, and in a status.
 _DETECTED = (
-    Variable("capture_state", "1", (), Kind.INTEGER, doc="verdict", values=CaptureState),
-    Variable("capture_since", "s", (), doc="begin of the present capture_state"),
-    Variable("nearest_distance", "m", (), doc="closest approach of the tip to BE so far"),
+    UnitVariable("capture_state", "1", (), Kind.INTEGER, doc="verdict", values=CaptureState),
+    UnitVariable("capture_since", "s", (), doc="begin of the present capture_state"),
+    UnitVariable("nearest_distance", "m", (), doc="closest approach of the tip to BE so far"),
 )
 _REMEMBERED = ("state", "since", "nearest")
 
 
-def outputs() -> list[Variable]:
+def outputs() -> list[UnitVariable]:
     """Return the numbers of a sample but for its time, named as in tables, and the detector's."""
     places = np.zeros(1, [(name, "i8", SAMPLE[name].shape) for name in SAMPLE.names or ()])
     for name in SAMPLE.names or ():
@@ -121,22 +121,22 @@ def outputs() -> list[Variable]:
             kind = Kind.INTEGER if is_integer else Kind.REAL
             values = Phase if column == "phase" else None
             unit = unit_of_column(column)
-            found.append(Variable(column, unit, (int(place[0]),), kind, values=values))
+            found.append(UnitVariable(column, unit, (int(place[0]),), kind, values=values))
     for variable, name in zip(_DETECTED, _REMEMBERED, strict=True):
         found.append(replace(variable, places=(SAMPLE.itemsize + offset_of(MEMORY, name),)))
     return found
 
 
-def inputs(scene: Scene) -> list[Variable]:
+def inputs(scene: Scene) -> list[UnitVariable]:
     """Return the wrench on the tip from outside, and those on vehicles with thrusters.
 
     A scene with supports has none on the tip: it acts in place of the walls, which stay there.
     """
     numbers = (("force.x", "N"), ("force.y", "N"), ("torque.z", "N m"))
 
-    def wrench(name: str, doc: str, place: int) -> list[Variable]:
+    def wrench(name: str, doc: str, place: int) -> list[UnitVariable]:
         return [
-            Variable(f"{name}.{part}", unit, (place + 8 * k,), doc=doc)
+            UnitVariable(f"{name}.{part}", unit, (place + 8 * k,), doc=doc)
             for k, (part, unit) in enumerate(numbers)
         ]
 
@@ -153,7 +153,7 @@ def inputs(scene: Scene) -> list[Variable]:
     return found
 
 
-def parameters(scene: Scene, workspace: np.ndarray) -> list[Variable]:
+def parameters(scene: Scene, workspace: np.ndarray) -> list[UnitVariable]:
     """Return the fields of a scene that may be set before the release.
 
     These are numbers that the engine reads as they are.  The launch and the scale of errors follow
@@ -161,7 +161,7 @@ def parameters(scene: Scene, workspace: np.ndarray) -> list[Variable]:
     """
     raw = workspace.view(np.uint8)
 
-    def variable(path: str, *places: int, shapes_buffer: bool = False) -> Variable:
+    def variable(path: str, *places: int, shapes_buffer: bool = False) -> UnitVariable:
         part_path, _, name = path.rpartition(".")
         part: Any = scene
         for step in part_path.split("."):
@@ -169,7 +169,9 @@ def parameters(scene: Scene, workspace: np.ndarray) -> list[Variable]:
         spec = declared(type(part))[name]
         start = float(raw[places[0] : places[0] + 8].view(np.float64)[0])
         allowed = spec.allowed or ANY
-        return Variable(path, spec.unit, places, Kind.REAL, allowed, start, spec.doc, shapes_buffer)
+        return UnitVariable(
+            path, spec.unit, places, Kind.REAL, allowed, start, spec.doc, shapes_buffer
+        )
 
     def parameter(name: str) -> int:
         return offset_of(WORKSPACE, "system", "par", name)
@@ -202,6 +204,8 @@ def parameters(scene: Scene, workspace: np.ndarray) -> list[Variable]:
     if scene.supports is None:
         place = offset_of(WORKSPACE, "system", "mode", "driven")
         doc = "the wrench inputs act in place of the cone's walls"
-        flag = Variable("contact_outside", "1", (place,), Kind.BOOLEAN, Range(0.0, 1.0), doc=doc)
+        flag = UnitVariable(
+            "contact_outside", "1", (place,), Kind.BOOLEAN, Range(0.0, 1.0), doc=doc
+        )
         found.append(flag)
     return found

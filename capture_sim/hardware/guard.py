@@ -33,7 +33,7 @@ _LEAST_SHARE = 0.05
 
 
 @dataclass(frozen=True)
-class Limits:
+class LoopLimits:
     """What stops the loop."""
 
     energy: float = quantity(
@@ -73,7 +73,7 @@ class Guard:
     would have added.  ``history``: states of the stage before its latest steps, newest last.
     """
 
-    def __init__(self, stage: LoopStage, limits: Limits, law: WallLaw = NO_LAW) -> None:
+    def __init__(self, stage: LoopStage, limits: LoopLimits, law: WallLaw = NO_LAW) -> None:
         self._stage, self._limits = stage, limits
         self._expected = WallLaw(_LEAST_STIFFNESS, offset=law.offset)
         if law.stiffness > 0.0:

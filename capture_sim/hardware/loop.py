@@ -25,7 +25,7 @@ from capture_sim.hardware.answers import Answer, Answers
 from capture_sim.hardware.contact import RigContact
 from capture_sim.hardware.episodes import ContactEpisode, Episodes
 from capture_sim.hardware.fit import LawEstimate
-from capture_sim.hardware.guard import Guard, Limits
+from capture_sim.hardware.guard import Guard, LoopLimits
 from capture_sim.hardware.lags import Lags
 from capture_sim.hardware.law import NO_LAW, NO_WRENCH, TipState, WallLaw, Walls, Wrench
 from capture_sim.hardware.positions import Predictor, RunUp
@@ -74,7 +74,7 @@ class Loop:
         stage: LoopStage,
         method: str = "none",
         law: WallLaw = NO_LAW,
-        limits: Limits = Limits(),  # noqa: B008 - frozen
+        limits: LoopLimits = LoopLimits(),  # noqa: B008 - frozen
         threshold: float = 0.0,
         run_up: float = 0.2,
     ) -> None:
@@ -291,14 +291,14 @@ class Loop:
         self.notes.append(f"t = {self.stage.t:.6g} s, contact {len(self.episodes)}: {text}")
 
 
-class Channel(Protocol):
+class RigLink(Protocol):
     """A rig and the way to it."""
 
     def answer(self, pose: TipState) -> Sequence[Answer]:
         """Take a position; return the answers that come until the next one is sent."""
 
 
-def run_in_process(loop: Loop, rig: Channel, t_end: float) -> str:
+def run_in_process(loop: Loop, rig: RigLink, t_end: float) -> str:
     """Run a loop in one process, up to a time (s); return why it stopped, empty at its end."""
     try:
         for _ in range(N_AT_REST):

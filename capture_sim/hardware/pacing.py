@@ -17,7 +17,7 @@ MAX_JITTER, MIN_INTERVAL = 0.2, 0.8
 _WINDOW, _FIRST = 1000, 200
 
 
-class Pacer:
+class LoopPacer:
     """The times of positions, one every ``period`` (s, wall).
 
     Before each: wait :meth:`time_to_work`, work, wait :meth:`time_to_send`, :meth:`release`, send.

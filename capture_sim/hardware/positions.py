@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 
-from capture_sim.hardware.guard import Limits
+from capture_sim.hardware.guard import LoopLimits
 from capture_sim.hardware.law import TipState
 
 #: Time constant by which a prediction follows the lag, s.
@@ -37,7 +37,7 @@ class RunUp:
 class Predictor:
     """Where the tip will be when the answer to its position is used, by its velocity."""
 
-    def __init__(self, first: TipState, step: float, limits: Limits) -> None:
+    def __init__(self, first: TipState, step: float, limits: LoopLimits) -> None:
         self._step, self._max_lag = step, limits.latency
         # the lag of the time limit, followed from rest, needs a quarter of the acceleration
         speed = math.hypot(first.vx, first.vy)

@@ -9,7 +9,7 @@ from typing import Any
 
 from capture_sim.hardware.episodes import ContactEpisode
 from capture_sim.hardware.loop import Loop
-from capture_sim.hardware.pacing import Pacer
+from capture_sim.hardware.pacing import LoopPacer
 
 #: Latencies and round trips that are kept.
 _KEPT = 100_000
@@ -35,7 +35,7 @@ class Timing:
             self.round_trips.append(now - self._sent.popleft()[1])
 
 
-def report_of(loop: Loop, pacer: Pacer | None, timing: Timing, stopped: str) -> dict[str, Any]:
+def report_of(loop: Loop, pacer: LoopPacer | None, timing: Timing, stopped: str) -> dict[str, Any]:
     """Return the measured values, of types that JSON has; None for an unknown value."""
     rejections = dict(loop.answers.rejections)
     is_known = loop.known_lag is not None

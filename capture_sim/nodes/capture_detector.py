@@ -22,7 +22,7 @@ from capture_sim.messages.measurements import (
 )
 from capture_sim.messages.telemetry import DetectorTelemetry
 from capture_sim.messages.topics import CAPTURE_DETECTOR, RunSource, Topic, topics_of
-from capture_sim.nodes.base.diagnostics import Level, Status
+from capture_sim.nodes.base.diagnostics import DiagnosticStatus, Level
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.base.parameters import ParameterError, declare_scene
 from capture_sim.nodes.base.process import run
@@ -173,14 +173,14 @@ class CaptureDetectorNode(BenchNode, RunPart):
         count = 2 if OF_A_BENCH[topic] is Source.BUFFER else 3
         self._sources.add(topic, stamp, values[:count])
 
-    def _progress(self) -> list[Status]:
+    def _progress(self) -> list[DiagnosticStatus]:
         """Return how far the evaluation is behind the newest measurement."""
         if self._follower.run is None or self._follower.run.simulated:
             return []
         behind, delay = self._detector.behind, self._detector.delay
         values = {"behind [s]": f"{behind:.3f}", "delay of the smoother [s]": f"{delay:.3f}"}
         text = f"{behind:.2f} s behind the newest measurement"
-        return [Status("evaluation", Level.OK, text, values)]
+        return [DiagnosticStatus("evaluation", Level.OK, text, values)]
 
     def _receive_measurement(self, topic: Topic, data: bytes) -> None:
         measurement = self._input.read(topic, data)

@@ -16,7 +16,7 @@ import numpy as np
 from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.base.files import file_problem, writing_problem
 from capture_sim.errors import CaptureSimError, MessageError, RecordingError, SceneError
-from capture_sim.hardware.guard import Limits
+from capture_sim.hardware.guard import LoopLimits
 from capture_sim.hardware.law import TipState, WallLaw, Wrench
 from capture_sim.hardware.loop import MAX_START_DISTANCE, METHODS, N_AT_REST, Loop
 from capture_sim.hardware.messages import (
@@ -31,7 +31,7 @@ from capture_sim.hardware.messages import (
     wrench_message,
     wrench_of,
 )
-from capture_sim.hardware.pacing import Pacer, request_priority
+from capture_sim.hardware.pacing import LoopPacer, request_priority
 from capture_sim.hardware.record import LoopRecord
 from capture_sim.hardware.report import Timing, report_of, summary
 from capture_sim.hardware.stage import LoopStage, SafeStopError
@@ -70,7 +70,7 @@ class LoopSimulatorNode(BenchNode):
             "rtf", 1.0, "real-time factor: simulated seconds per second", low=0.001, high=1.0
         )
         limits = self.declare_fields(
-            Limits(), lambda name: "timeout" if name == "latency" else f"{name}_limit"
+            LoopLimits(), lambda name: "timeout" if name == "latency" else f"{name}_limit"
         )
         self._max_lateness = self.declare(
             "lateness_limit", 0.05, "lateness of a step, s (wall)", low=0.0001, high=10.0
@@ -113,7 +113,7 @@ class LoopSimulatorNode(BenchNode):
         self._inbox: deque[tuple[float, float, Wrench]] = deque()  # arrival (wall), stamp, wrench
         self._rig_tips: dict[float, TipState] = {}
         self._timing = Timing()
-        self._pacer: Pacer | None = None
+        self._pacer: LoopPacer | None = None
         self._record: LoopRecord | None = None  # from the first step on
         self._exchanged: dict[Topic, list[tuple[float, Any]]] = {
             topic: [] for topic in (TIP, TIP_WRENCH, RIG_TIP)
@@ -232,7 +232,7 @@ class LoopSimulatorNode(BenchNode):
         if self._record_path is not None:
             check_memory(loop.stage.scene.run, self._t_end / loop.stage.step)
             self._record = LoopRecord(loop.stage)
-        pacer = self._pacer = Pacer(period, self._max_lateness, self._max_late_share)
+        pacer = self._pacer = LoopPacer(period, self._max_lateness, self._max_late_share)
         while loop.t < self._t_end - 1e-9:
             self.wait(limit=pacer.time_to_work())
             self._hand_over_answers()

@@ -29,7 +29,7 @@ from capture_sim.nodes.base.process import run as run_process
 from capture_sim.nodes.protocol.announcer import Announcer
 from capture_sim.nodes.protocol.roll import Roll, has_streams
 from capture_sim.nodes.simulation.control import SimulationControl, State
-from capture_sim.nodes.simulation.pacing import Pacer
+from capture_sim.nodes.simulation.pacing import RunPacer
 from capture_sim.recording.bag import remap_of
 from capture_sim.recording.playback import Playback, PlayedCounts, publisher_of, replayed
 from capture_sim.scene.quantities import REAL_TIME_FACTORS
@@ -101,7 +101,7 @@ class PlayerNode(BenchNode):
             )
         self._control = SimulationControl(
             State.PAUSED if paused else State.PLAYING,
-            Pacer(factor),
+            RunPacer(factor),
             lambda limit: self.wait(limit=limit),
         )
         for name, state in (("pause", State.PAUSED), ("resume", State.PLAYING)):

@@ -24,7 +24,7 @@ from capture_sim.nodes.base.parameters import ParameterError
 from capture_sim.nodes.base.process import run
 from capture_sim.nodes.protocol.ends import CutKind
 from capture_sim.nodes.simulation.control import SimulationControl, State
-from capture_sim.nodes.simulation.pacing import Pacer
+from capture_sim.nodes.simulation.pacing import RunPacer
 from capture_sim.nodes.simulation.services import SimulationServices
 from capture_sim.nodes.simulation.simulated_runs import RunOutcome, SimulatedRuns
 from capture_sim.scene.launch_plan import plan_launch
@@ -100,7 +100,7 @@ class SimulatorNode(BenchNode):
         self._scenes = self._requested = _load(names, overrides, load_scene)
         self._names_at_start = tuple(names)
         self.control = SimulationControl(
-            State[state.upper()], Pacer(factor), lambda limit: self.wait(limit=limit)
+            State[state.upper()], RunPacer(factor), lambda limit: self.wait(limit=limit)
         )
         self._simulation_services = SimulationServices(self, self.control)
         self._runs = SimulatedRuns(self, self.control, wait_for, start_timeout)

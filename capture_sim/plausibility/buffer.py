@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.plausibility.momentum import spring_ratio
-from capture_sim.plausibility.motion import N_SMOOTH, Motion
+from capture_sim.plausibility.motion import N_SMOOTH, MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
 from capture_sim.plausibility.signals import smooth
 
@@ -32,7 +32,7 @@ class Contradiction(NamedTuple):
     detail: str
 
 
-def find_contradiction(motion: Motion) -> Contradiction | None:
+def find_contradiction(motion: MeasuredMotion) -> Contradiction | None:
     """Return the contradiction of poses and buffer; None without."""
     if motion.pair is None or motion.scene is None or motion.buffer is None:
         return None
@@ -82,7 +82,7 @@ def find_contradiction(motion: Motion) -> Contradiction | None:
     return Contradiction("other", text, "")
 
 
-def _deepest(motion: Motion, stroke: np.ndarray, torsion: np.ndarray) -> float:
+def _deepest(motion: MeasuredMotion, stroke: np.ndarray, torsion: np.ndarray) -> float:
     """Return the largest running median of the tip's depth in a wall, m; at least 0."""
     depth = motion.depth(stroke, torsion)
     known = depth[np.isfinite(stroke)]
@@ -91,7 +91,7 @@ def _deepest(motion: Motion, stroke: np.ndarray, torsion: np.ndarray) -> float:
     return float(smoothed.max(initial=0.0))
 
 
-def _contradicted(motion: Motion, kind: str) -> Iterator[tuple[str, Contradiction]]:
+def _contradicted(motion: MeasuredMotion, kind: str) -> Iterator[tuple[str, Contradiction]]:
     found = motion.once("buffer", lambda: find_contradiction(motion))
     if found is not None and found.kind == kind and motion.buffer is not None:
         yield motion.buffer.topic, found
@@ -109,7 +109,7 @@ def _contradicted(motion: Motion, kind: str) -> Iterator[tuple[str, Contradictio
     needs_scene=True,
     needs_poses=True,
 )
-def buffer_stuck(motion: Motion) -> Iterator[Said]:
+def buffer_stuck(motion: MeasuredMotion) -> Iterator[Said]:
     """An encoder that does not move though the tip is pressed in."""
     for topic, found in _contradicted(motion, "stuck"):
         yield Said(
@@ -128,7 +128,7 @@ def buffer_stuck(motion: Motion) -> Iterator[Said]:
     needs_scene=True,
     needs_poses=True,
 )
-def buffer_inverted(motion: Motion) -> Iterator[Said]:
+def buffer_inverted(motion: MeasuredMotion) -> Iterator[Said]:
     """An encoder with the opposite sign."""
     for topic, found in _contradicted(motion, "inverted"):
         yield Said(
@@ -147,7 +147,7 @@ def buffer_inverted(motion: Motion) -> Iterator[Said]:
     needs_scene=True,
     needs_poses=True,
 )
-def buffer_against_poses(motion: Motion) -> Iterator[Said]:
+def buffer_against_poses(motion: MeasuredMotion) -> Iterator[Said]:
     """Poses and buffer that contradict each other."""
     for kind in ("lag", "other"):
         for topic, found in _contradicted(motion, kind):

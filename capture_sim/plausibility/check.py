@@ -19,7 +19,7 @@ from collections.abc import Collection
 from capture_sim.errors import SceneError
 from capture_sim.plausibility import buffer, clocks, force, frames, sources, units
 from capture_sim.plausibility.measured import Measured
-from capture_sim.plausibility.motion import Motion
+from capture_sim.plausibility.motion import MeasuredMotion
 from capture_sim.plausibility.rules import RULES, Doubt, Grade, Rule, broken
 from capture_sim.scene.parts import Scene
 
@@ -57,7 +57,7 @@ def check(
         A waived rule does not exist.
     """
     check_names(waived)
-    doubts = tuple(broken(Motion(measured, scene), waived))
+    doubts = tuple(broken(MeasuredMotion(measured, scene), waived))
     return tuple(sorted(doubts, key=lambda doubt: _GRADES.index(doubt.grade)))
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.plausibility.measured import Channel
-from capture_sim.plausibility.motion import MIN_MESSAGES, Motion
+from capture_sim.plausibility.motion import MIN_MESSAGES, MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
 
 #: An offset between the sources' clocks beyond this is reported, s.  Latencies of drivers are up to
@@ -56,7 +56,7 @@ def _rate_of(channel: Channel) -> float:
     return float(np.median(passed[is_apart] / waited[is_apart])) if is_apart.any() else 0.0
 
 
-def _timed(motion: Motion) -> list[tuple[Channel, float]]:
+def _timed(motion: MeasuredMotion) -> list[tuple[Channel, float]]:
     """Return the sources whose clock can be compared, each with its rate, see _rate_of."""
     return [
         (channel, motion.once(f"rate {channel.topic}", partial(_rate_of, channel)))
@@ -65,7 +65,7 @@ def _timed(motion: Motion) -> list[tuple[Channel, float]]:
     ]
 
 
-def _clocks(motion: Motion) -> list[_Clock]:
+def _clocks(motion: MeasuredMotion) -> list[_Clock]:
     """Return the clocks that run as arrivals do."""
     found = []
     for channel, rate in _timed(motion):
@@ -76,7 +76,7 @@ def _clocks(motion: Motion) -> list[_Clock]:
     return found
 
 
-def _offsets(motion: Motion) -> Iterator[tuple[_Clock, float]]:
+def _offsets(motion: MeasuredMotion) -> Iterator[tuple[_Clock, float]]:
     """Yield each clock with its offset from the reference, s.
 
     That is one with which most others agree, of these the one nearest to arrivals.
@@ -95,7 +95,7 @@ def _offsets(motion: Motion) -> Iterator[tuple[_Clock, float]]:
         yield clock, clock.offset - reference.offset
 
 
-def _offsets_at_a_rate(motion: Motion) -> Iterator[tuple[_Clock, float]]:
+def _offsets_at_a_rate(motion: MeasuredMotion) -> Iterator[tuple[_Clock, float]]:
     """Yield clocks of a bench that is faster or slower than time, with their offsets, s.
 
     The latest stamp of one source is compared with that of another in the same moment.  What
@@ -141,7 +141,7 @@ def _lead(channel: Channel, other: Channel) -> float:
     threshold=f"> {MAX_OFFSET} s",
     reason="at 0.1 m/s this moves the tip by 20 mm, four capture radii",
 )
-def clocks_apart(motion: Motion) -> Iterator[Said]:
+def clocks_apart(motion: MeasuredMotion) -> Iterator[Said]:
     """A source with another clock: an hour apart, or since boot."""
     for clock, offset in _offsets(motion):
         if abs(offset) > MAX_OFFSET:
@@ -162,7 +162,7 @@ def clocks_apart(motion: Motion) -> Iterator[Said]:
     threshold=f"> {WARN_OFFSET} s",
     reason="latencies of drivers are up to 0.03 s; 0.05 s moves the tip by 5 mm at 0.1 m/s",
 )
-def clock_offset(motion: Motion) -> Iterator[Said]:
+def clock_offset(motion: MeasuredMotion) -> Iterator[Said]:
     """A source whose clock is a little off."""
     for clock, offset in _offsets(motion):
         if WARN_OFFSET < abs(offset) <= MAX_OFFSET:
@@ -182,7 +182,7 @@ def clock_offset(motion: Motion) -> Iterator[Said]:
     reason="as clocks_apart; late or lost messages make no step, and of one wild stamp the next "
     "ones know nothing",
 )
-def clock_steps(motion: Motion) -> Iterator[Said]:
+def clock_steps(motion: MeasuredMotion) -> Iterator[Said]:
     """A source whose clock was set."""
     for channel, rate in _timed(motion):
         step, other = _step(channel, rate), _rate_between_ends(channel)
@@ -236,7 +236,7 @@ def _runs(channel: Channel, side: np.ndarray, rate: float) -> bool:
     threshold="> 200 ppm that make > 2 ms in the recording, 5 times the scatter",
     reason="quartz clocks differ by less than 100 ppm; 2 ms are 0.2 mm at 0.1 m/s",
 )
-def clock_drifts(motion: Motion) -> Iterator[Said]:
+def clock_drifts(motion: MeasuredMotion) -> Iterator[Said]:
     """A source whose clock runs fast or slow."""
     lines = {clock.channel.topic: _rate(clock.channel) for clock in _clocks(motion)}
     if len(lines) < 2:
@@ -272,11 +272,11 @@ def _rate(channel: Channel) -> tuple[float, float, float]:
     return float(rate), scatter, duration
 
 
-def _is_unset(motion: Motion, channel: Channel) -> bool:
+def _is_unset(motion: MeasuredMotion, channel: Channel) -> bool:
     return float(_unset(motion, channel).mean()) > _MOST
 
 
-def _unset(motion: Motion, channel: Channel) -> np.ndarray:
+def _unset(motion: MeasuredMotion, channel: Channel) -> np.ndarray:
     """Return which stamps are 0, (n,) bool."""
     return np.asarray(np.abs(channel.t + motion.measured.origin / 1e9) < 1e-3)
 
@@ -288,7 +288,7 @@ def _unset(motion: Motion, channel: Channel) -> np.ndarray:
     threshold="more than half of a source's stamps are 0",
     reason="0 means 'not set' in ROS: the times of the measurements are unknown",
 )
-def stamps_unset(motion: Motion) -> Iterator[Said]:
+def stamps_unset(motion: MeasuredMotion) -> Iterator[Said]:
     """A driver that sets no stamps."""
     for channel in motion.measured.channels:
         if _is_unset(motion, channel):
@@ -306,7 +306,7 @@ def stamps_unset(motion: Motion) -> Iterator[Said]:
     threshold="some of a source's stamps are 0",
     reason="0 means 'not set' in ROS",
 )
-def stamp_unset(motion: Motion) -> Iterator[Said]:
+def stamp_unset(motion: MeasuredMotion) -> Iterator[Said]:
     """A driver that sets no stamp in some messages."""
     for channel in motion.measured.channels:
         number = int(_unset(motion, channel).sum())
@@ -331,7 +331,7 @@ def _repeated(channel: Channel) -> float:
     threshold=f"more than {_MOST:.0%} repeat an earlier stamp",
     reason="the times of the measurements are unknown",
 )
-def stamps_stand(motion: Motion) -> Iterator[Said]:
+def stamps_stand(motion: MeasuredMotion) -> Iterator[Said]:
     """A clock that stands."""
     for channel in motion.measured.channels:
         share = motion.once(f"repeated {channel.topic}", partial(_repeated, channel))
@@ -350,7 +350,7 @@ def stamps_stand(motion: Motion) -> Iterator[Said]:
     threshold=f"more than {_FEW:.0%} repeat an earlier stamp",
     reason="single ones occur where two messages are stamped in one tick",
 )
-def stamps_repeat(motion: Motion) -> Iterator[Said]:
+def stamps_repeat(motion: MeasuredMotion) -> Iterator[Said]:
     """Stamps that repeat: of equal ones the first message counts."""
     for channel in motion.measured.channels:
         share = motion.once(f"repeated {channel.topic}", partial(_repeated, channel))
@@ -372,7 +372,7 @@ def stamps_repeat(motion: Motion) -> Iterator[Said]:
     needs_scene=True,
     needs_poses=True,
 )
-def contact_times(motion: Motion) -> Iterator[Said]:
+def contact_times(motion: MeasuredMotion) -> Iterator[Said]:
     """Sources that see the contact at different times."""
     seen = motion.contacts
     first, last = motion.near_time, seen.get("poses")

@@ -8,7 +8,7 @@ import numpy as np
 
 from capture_sim.plausibility.axes import FORCE_FRAMES, frame_of
 from capture_sim.plausibility.momentum import force_ratio
-from capture_sim.plausibility.motion import MIN_MESSAGES, N_SMOOTH, Motion
+from capture_sim.plausibility.motion import MIN_MESSAGES, N_SMOOTH, MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
 from capture_sim.plausibility.signals import baseline, noise, smooth
 
@@ -34,7 +34,7 @@ _SIGN, _SMALL, _LARGE = -0.3, 0.05, 20.0
     threshold=f"not one of {', '.join(FORCE_FRAMES)}",
     reason="a force in unknown axes has no direction",
 )
-def force_frame(motion: Motion) -> Iterator[Said]:
+def force_frame(motion: MeasuredMotion) -> Iterator[Said]:
     """A force in unknown axes."""
     force = motion.measured.force
     if force is not None and force.count and frame_of(force.frame_ids) is None:
@@ -49,7 +49,7 @@ def force_frame(motion: Motion) -> Iterator[Said]:
     threshold="empty",
     reason="the axes are not known; target/cone is assumed",
 )
-def force_frame_empty(motion: Motion) -> Iterator[Said]:
+def force_frame_empty(motion: MeasuredMotion) -> Iterator[Said]:
     """A force without a frame."""
     force = motion.measured.force
     if force is not None and force.count and not any(force.frame_ids):
@@ -67,7 +67,7 @@ def force_frame_empty(motion: Motion) -> Iterator[Said]:
     "comes 4 times",
     reason="noise never repeats a largest value; a cell that repeats samples repeats others too",
 )
-def force_saturated(motion: Motion) -> Iterator[Said]:
+def force_saturated(motion: MeasuredMotion) -> Iterator[Said]:
     """A load cell at the end of its range."""
     force = motion.force
     if force is None:
@@ -104,7 +104,7 @@ def _rows(is_so: np.ndarray) -> np.ndarray:
     reason="0.05 N/s is a hard case of a warm-up, and is removed; 1 N is a tenth of a contact's "
     "mean force",
 )
-def force_drifts(motion: Motion) -> Iterator[Said]:
+def force_drifts(motion: MeasuredMotion) -> Iterator[Said]:
     """A load cell whose zero drifts by more than the contact's force bears."""
     force = motion.force
     if force is None:
@@ -137,7 +137,7 @@ def force_drifts(motion: Motion) -> Iterator[Said]:
     reason="5 kg of a cone and its plate weigh 49 N; noise has a running median of a third of it, "
     "and a warm-up drifts by 0.02 N meanwhile; a hand or a cable at the cone is more",
 )
-def force_at_rest(motion: Motion) -> Iterator[Said]:
+def force_at_rest(motion: MeasuredMotion) -> Iterator[Said]:
     """A cone that something pushes, or a load cell that was not tared, before a release."""
     force = motion.measured.force
     if force is None or not motion.measured.is_before_release:
@@ -172,7 +172,7 @@ def force_at_rest(motion: Motion) -> Iterator[Said]:
     needs_scene=True,
     needs_poses=True,
 )
-def force_without_contact(motion: Motion) -> Iterator[Said]:
+def force_without_contact(motion: MeasuredMotion) -> Iterator[Said]:
     """A force where poses allow no contact."""
     begin = motion.force_onset
     if motion.force is None or begin is None or motion.pair is None:
@@ -199,7 +199,7 @@ def force_without_contact(motion: Motion) -> Iterator[Said]:
     needs_scene=True,
     needs_poses=True,
 )
-def force_inverted(motion: Motion) -> Iterator[Said]:
+def force_inverted(motion: MeasuredMotion) -> Iterator[Said]:
     """A load cell with the opposite sign."""
     ratio = motion.once("impulse", lambda: force_ratio(motion))
     if ratio is not None and ratio < _SIGN and motion.force is not None:
@@ -219,7 +219,7 @@ def force_inverted(motion: Motion) -> Iterator[Said]:
     needs_scene=True,
     needs_poses=True,
 )
-def force_scale(motion: Motion) -> Iterator[Said]:
+def force_scale(motion: MeasuredMotion) -> Iterator[Said]:
     """A force in kN, or no force at all in a contact."""
     ratio = motion.once("impulse", lambda: force_ratio(motion))
     if ratio is None or motion.force is None or not (abs(ratio) < _SMALL or ratio > _LARGE):

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from capture_sim.plausibility.measured import Poses
-from capture_sim.plausibility.motion import MIN_MESSAGES, Motion
+from capture_sim.plausibility.motion import MIN_MESSAGES, MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
 from capture_sim.plausibility.signals import noise, smooth, span
 
@@ -33,7 +33,7 @@ _MOVED = 0.03
     threshold=f"median differs by > {_NORM_ERROR:g}",
     reason="rounding makes 1e-7; a norm of another size is no orientation in this convention",
 )
-def quaternion_norm(motion: Motion) -> Iterator[Said]:
+def quaternion_norm(motion: MeasuredMotion) -> Iterator[Said]:
     """Quaternions that are not of norm 1."""
     for _, poses in motion.measured.vehicles:
         norm = poses.norm[poses.is_measured]
@@ -53,7 +53,7 @@ def quaternion_norm(motion: Motion) -> Iterator[Said]:
     reason="a tilt of 0.12 rad shortens 0.45 m by 3 mm, most of the capture zone; roll and pitch "
     "of a floor and of a marker plate are some mrad",
 )
-def tilted(motion: Motion) -> Iterator[Said]:
+def tilted(motion: MeasuredMotion) -> Iterator[Said]:
     """A vehicle that is tilted out of the plane."""
     for name, poses in motion.measured.vehicles:
         tilt = poses.tilt
@@ -86,7 +86,7 @@ def _tilt_cause(poses: Poses) -> str:
     threshold="> 6 mm, > 6 standard deviations and > 3 % of the motion in the plane",
     reason="a world that is not levelled by 1 deg moves z by 1.7 % of the travel",
 )
-def out_of_plane(motion: Motion) -> Iterator[Said]:
+def out_of_plane(motion: MeasuredMotion) -> Iterator[Said]:
     """A vehicle that moves along z."""
     for name, poses in motion.measured.vehicles:
         kept = poses.is_measured
@@ -120,7 +120,7 @@ def out_of_plane(motion: Motion) -> Iterator[Said]:
     needs_scene=True,
     needs_poses=True,
 )
-def heights_differ(motion: Motion) -> Iterator[Said]:
+def heights_differ(motion: MeasuredMotion) -> Iterator[Said]:
     """Base frames at different heights: with y up that is a lateral offset."""
     if motion.pair is None or motion.scene is None:
         return
@@ -143,7 +143,7 @@ def heights_differ(motion: Motion) -> Iterator[Said]:
     threshold="not equal",
     reason="poses in two frames have no distance",
 )
-def frames_differ(motion: Motion) -> Iterator[Said]:
+def frames_differ(motion: MeasuredMotion) -> Iterator[Said]:
     """Poses of the vehicles in different frames."""
     chaser, target = motion.chaser, motion.target
     if chaser is None or target is None:
@@ -164,7 +164,7 @@ def frames_differ(motion: Motion) -> Iterator[Said]:
     threshold="more than one",
     reason="two publishers, or a driver that was set up anew",
 )
-def frame_changes(motion: Motion) -> Iterator[Said]:
+def frame_changes(motion: MeasuredMotion) -> Iterator[Said]:
     """A topic in several frames."""
     for channel in motion.measured.channels:
         if len(_names(channel.frame_ids)) > 1:
@@ -197,7 +197,7 @@ def _listed(names: set[str]) -> str:
     needs_scene=True,
     needs_poses=True,
 )
-def bodies_overlap(motion: Motion) -> Iterator[Said]:
+def bodies_overlap(motion: MeasuredMotion) -> Iterator[Said]:
     """The same pose on both topics, or bodies that cannot be so near."""
     if motion.pair is None:
         return
@@ -225,7 +225,7 @@ def bodies_overlap(motion: Motion) -> Iterator[Said]:
     "bodies swapped or frames turned by 90 deg or more are beyond, every launch of a scene is not",
     needs_poses=True,
 )
-def not_facing(motion: Motion) -> Iterator[Said]:
+def not_facing(motion: MeasuredMotion) -> Iterator[Said]:
     """Bodies swapped, and base frames that are turned."""
     pair = motion.pair
     if pair is None:
@@ -265,7 +265,7 @@ def not_facing(motion: Motion) -> Iterator[Said]:
     reason="the chaser launches along its x axis",
     needs_poses=True,
 )
-def moves_backwards(motion: Motion) -> Iterator[Said]:
+def moves_backwards(motion: MeasuredMotion) -> Iterator[Said]:
     """A chaser that moves backwards along its own heading."""
     pair = motion.pair
     if pair is None:

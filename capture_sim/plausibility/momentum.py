@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.plausibility.motion import Motion
+from capture_sim.plausibility.motion import MeasuredMotion
 from capture_sim.plausibility.signals import noise, slope
 
 #: Windows before and after the begin of a contact between which momentum is balanced, s.
@@ -28,7 +28,7 @@ _LEAST_STROKE, _DEVIATIONS = 1e-3, 6.0
 _MARGIN = 0.1
 
 
-class Change(NamedTuple):
+class SpeedChange(NamedTuple):
     """Change of the chaser's speed along an axis between two instants, s."""
 
     begin: float
@@ -36,7 +36,7 @@ class Change(NamedTuple):
     speed: float  # m/s
 
 
-def change_of_speed(motion: Motion, contact: float, axis: np.ndarray) -> Change | None:
+def change_of_speed(motion: MeasuredMotion, contact: float, axis: np.ndarray) -> SpeedChange | None:
     """Return the change of the chaser's speed over a contact, s; None if it is not known.
 
     ``axis``: heading (n,), rad, of the poses of the pair, whose median around the contact counts.
@@ -60,10 +60,10 @@ def change_of_speed(motion: Motion, contact: float, axis: np.ndarray) -> Change 
     change = speeds[1] - speeds[0]
     if abs(change) < max(_LEAST_CHANGE, 5.0 * math.hypot(*errors)):
         return None
-    return Change(*ends, change)
+    return SpeedChange(*ends, change)
 
 
-def force_ratio(motion: Motion) -> float | None:
+def force_ratio(motion: MeasuredMotion) -> float | None:
     """Return the impulse of the force over the chaser's change of momentum; None if unknown."""
     turned = motion.cone_force
     if turned is None or motion.pair is None or motion.scene is None:
@@ -81,7 +81,7 @@ def force_ratio(motion: Motion) -> float | None:
     return impulse / (motion.scene.chaser_total_mass * change.speed)
 
 
-def spring_ratio(motion: Motion) -> float | None:
+def spring_ratio(motion: MeasuredMotion) -> float | None:
     """Return the impulse of the axial spring over the chaser's change of momentum.
 
     None if it is not known, if the spring is not linear, or if it need not yield visibly.
@@ -109,7 +109,7 @@ def spring_ratio(motion: Motion) -> float | None:
     return None if impulse is None else impulse * spring.k_A / momentum
 
 
-def _first_change(motion: Motion, axis: np.ndarray) -> Change | None:
+def _first_change(motion: MeasuredMotion, axis: np.ndarray) -> SpeedChange | None:
     """Return the chaser's loss of speed over the first contact that any source shows."""
     begins = sorted(motion.contacts.values())
     begins = begins or ([] if motion.near_time is None else [motion.near_time])
@@ -119,7 +119,9 @@ def _first_change(motion: Motion, axis: np.ndarray) -> Change | None:
     return next((found for found in changes if found is not None and found.speed < 0.0), None)
 
 
-def _integral(t: np.ndarray, values: np.ndarray, change: Change, quiet: np.ndarray) -> float | None:
+def _integral(
+    t: np.ndarray, values: np.ndarray, change: SpeedChange, quiet: np.ndarray
+) -> float | None:
     """Return the integral of values (n,) over a change, less what they were before, ``quiet``."""
     during = (t >= change.begin) & (t <= change.end)
     if during.sum() < 20 or t[0] > change.begin or t[-1] < change.end or quiet.sum() < 20:

@@ -36,7 +36,7 @@ _NEAR = 3e-3
 _AWAY = 1e-2
 
 
-class Pair(NamedTuple):
+class PosePair(NamedTuple):
     """Poses of both vehicles at common times."""
 
     t: np.ndarray  # (n,), s
@@ -46,7 +46,7 @@ class Pair(NamedTuple):
     z_target: np.ndarray  # (n,), m
 
 
-class Motion:
+class MeasuredMotion:
     """Measurements of one bench, and its scene (None if it is not known)."""
 
     def __init__(self, measured: Measured, scene: Scene | None) -> None:
@@ -85,7 +85,7 @@ class Motion:
         return force if force.is_measured.sum() >= MIN_MESSAGES else None
 
     @cached_property
-    def pair(self) -> Pair | None:
+    def pair(self) -> PosePair | None:
         """Poses of both vehicles at the chaser's stamps; None without poses of both."""
         chaser, target = self.chaser, self.target
         if chaser is None or target is None:
@@ -100,7 +100,7 @@ class Motion:
             return None
         values = np.column_stack([target.planar, target.position[of_t, 2]])[first_u]
         at = np.column_stack([np.interp(t[inside], u, column) for column in values.T])
-        return Pair(
+        return PosePair(
             t[inside],
             chaser.planar[first][inside],
             at[:, :3],

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
-from capture_sim.plausibility.motion import Motion
+from capture_sim.plausibility.motion import MeasuredMotion
 
 
 class Grade(StrEnum):
@@ -26,7 +26,7 @@ class Said(NamedTuple):
     messages: int | None = None
 
 
-Check = Callable[[Motion], Iterable[Said]]
+Check = Callable[[MeasuredMotion], Iterable[Said]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ def rule(
     return add
 
 
-def broken(motion: Motion, waived: Iterable[str] = ()) -> Iterator[Doubt]:
+def broken(motion: MeasuredMotion, waived: Iterable[str] = ()) -> Iterator[Doubt]:
     """Yield a doubt for each rule that is broken, without the waived ones."""
     left, refused = set(waived), False
     for each in RULES.values():

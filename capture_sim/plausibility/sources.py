@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from capture_sim.plausibility.motion import MIN_MESSAGES, Motion
+from capture_sim.plausibility.motion import MIN_MESSAGES, MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
 
 #: A source that ends earlier than the others by this has stopped, s.
@@ -26,7 +26,7 @@ _MIN_THIRD = 20
     threshold="no pose has finite numbers and a quaternion of norm > 0",
     reason="drivers send zeros or NaN for a body that the cameras do not see",
 )
-def never_tracked(motion: Motion) -> Iterator[Said]:
+def never_tracked(motion: MeasuredMotion) -> Iterator[Said]:
     """A vehicle none of whose messages holds a pose."""
     for name, poses in motion.measured.vehicles:
         if not poses.is_measured.any():
@@ -45,7 +45,7 @@ def never_tracked(motion: Motion) -> Iterator[Said]:
     threshold="numbers not finite, or norm of the quaternion < 0.001",
     reason="an orientation has norm 1",
 )
-def no_pose(motion: Motion) -> Iterator[Said]:
+def no_pose(motion: MeasuredMotion) -> Iterator[Said]:
     """Some messages of a vehicle without a pose."""
     for _, poses in motion.measured.vehicles:
         lost = int((~poses.is_measured).sum())
@@ -61,7 +61,7 @@ def no_pose(motion: Motion) -> Iterator[Said]:
     threshold="not finite",
     reason="NaN is no measurement",
 )
-def no_value(motion: Motion) -> Iterator[Said]:
+def no_value(motion: MeasuredMotion) -> Iterator[Said]:
     """Messages of buffer and load cell without a value."""
     for channel, what in (
         (motion.measured.buffer, "position of buffer_slide or buffer_hinge"),
@@ -90,7 +90,7 @@ def no_value(motion: Motion) -> Iterator[Said]:
     threshold="no message has both",
     reason="the position of the tip needs both",
 )
-def no_joints(motion: Motion) -> Iterator[Said]:
+def no_joints(motion: MeasuredMotion) -> Iterator[Said]:
     """Joint states of which none is the buffer's."""
     buffer = motion.measured.buffer
     if buffer is not None and buffer.unused and not buffer.count:
@@ -104,7 +104,7 @@ def no_joints(motion: Motion) -> Iterator[Said]:
     threshold=f"fewer than {MIN_MESSAGES}, and another source has ten times as many",
     reason="noise and motion cannot be known from fewer",
 )
-def few_messages(motion: Motion) -> Iterator[Said]:
+def few_messages(motion: MeasuredMotion) -> Iterator[Said]:
     """A source that sent one message, or a few."""
     most = max((channel.count for channel in motion.measured.channels), default=0)
     for channel in motion.measured.channels:
@@ -123,7 +123,7 @@ def few_messages(motion: Motion) -> Iterator[Said]:
     threshold=f"earlier by > {MAX_SILENCE} s and > {_MIN_INTERVALS} intervals",
     reason="longer than an occlusion at the contact (0.5 s)",
 )
-def ends_early(motion: Motion) -> Iterator[Said]:
+def ends_early(motion: MeasuredMotion) -> Iterator[Said]:
     """A source that stopped before the others."""
     channels = [c for c in motion.measured.channels if c.count >= MIN_MESSAGES]
     if len(channels) < 2:
@@ -146,7 +146,7 @@ def ends_early(motion: Motion) -> Iterator[Said]:
     threshold=f"ratio > {_RATE_RATIO:g}",
     reason="half of the rate is a ratio of 2; a driver's own rate varies by a few percent",
 )
-def rate_changes(motion: Motion) -> Iterator[Said]:
+def rate_changes(motion: MeasuredMotion) -> Iterator[Said]:
     """A source with half of the rate that it had."""
     for channel in motion.measured.channels:
         third = channel.count // 3

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from capture_sim.plausibility.motion import Motion
+from capture_sim.plausibility.motion import MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
 from capture_sim.plausibility.signals import noise
 
@@ -36,7 +36,7 @@ _STOP_MARGIN = 2e-3
     reason="mm makes it 1000, inch 39 times too large; a trial that misses stays below 10, and "
     "below a half the bodies overlap",
 )
-def position_units(motion: Motion) -> Iterator[Said]:
+def position_units(motion: MeasuredMotion) -> Iterator[Said]:
     """Positions in mm, inch or another unit than m."""
     if motion.pair is None:
         return
@@ -65,7 +65,7 @@ def position_units(motion: Motion) -> Iterator[Said]:
     )
 
 
-def _unit_of(motion: Motion, expected: float) -> str:
+def _unit_of(motion: MeasuredMotion, expected: float) -> str:
     """Return the unit in which the distance is that at contact, within a factor of 2; or none."""
     assert motion.pair is not None
     of_c, of_t = motion.pair.chaser[:, :2], motion.pair.target[:, :2]
@@ -93,7 +93,7 @@ def _unit_of(motion: Motion, expected: float) -> str:
     "stays below",
     needs_scene=True,
 )
-def buffer_units(motion: Motion) -> Iterator[Said]:
+def buffer_units(motion: MeasuredMotion) -> Iterator[Said]:
     """Strokes in mm or inch, torsions in deg."""
     buffer, scene = motion.buffer, motion.scene
     if buffer is None or scene is None:
@@ -137,7 +137,7 @@ def _deflection_unit(value: float, largest: float, units: dict[str, float]) -> s
     return fitting[-1] if fitting else "another unit"
 
 
-def _speed(motion: Motion) -> float:
+def _speed(motion: MeasuredMotion) -> float:
     """Return the largest relative speed of the approach, m/s, by poses, and by plan at least."""
     from capture_sim.scene.launch_plan import plan_launch
 
@@ -156,7 +156,7 @@ def _speed(motion: Motion) -> float:
     reason="stops yield, and an encoder's zero may be off",
     needs_scene=True,
 )
-def beyond_stop(motion: Motion) -> Iterator[Said]:
+def beyond_stop(motion: MeasuredMotion) -> Iterator[Said]:
     """A stroke that the stops do not allow."""
     buffer, scene = motion.buffer, motion.scene
     if buffer is None or scene is None:

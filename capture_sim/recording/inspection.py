@@ -50,7 +50,7 @@ _USES = {
 
 
 @dataclass(frozen=True)
-class Row:
+class SeriesRow:
     """One topic of a recording; None for what is not known.  Times are s since the release."""
 
     topic: str
@@ -67,13 +67,13 @@ class Row:
     use: str  # what it is used for, or why it is left out
 
 
-def series_rows(bag: Bag, run: Run) -> list[Row]:
+def series_rows(bag: Bag, run: Run) -> list[SeriesRow]:
     """Return a row for each topic of a recording, in the order of their names."""
     left_out = {d.topic: d.rule.name for d in run.doubts if d.leaves_out_topic}
     return [_row(bag, run, name, left_out) for name in sorted(bag.topics)]
 
 
-def _row(bag: Bag, run: Run, name: str, left_out: dict[str, str]) -> Row:
+def _row(bag: Bag, run: Run, name: str, left_out: dict[str, str]) -> SeriesRow:
     logged = bag.log_times(name)
     topic = topics.topic_named(name)
     topic = topic if topic is not None and bag.holds(topic) else None
@@ -99,7 +99,7 @@ def _row(bag: Bag, run: Run, name: str, left_out: dict[str, str]) -> Row:
     for doubted, rule in left_out.items():
         if name in doubted.split(" and "):
             use = f"left out ({rule})"
-    return Row(
+    return SeriesRow(
         topic=name,
         type=bag.types.get(name, ""),
         serialization_format="cdr",

@@ -14,7 +14,7 @@ from capture_sim.run.series import SeriesBySource
 from capture_sim.scene.parts import Scene
 
 
-class Checked(NamedTuple):
+class CountedSeries(NamedTuple):
     """Series that count, and the doubts about them."""
 
     series: SeriesBySource  # by quantity and source, without the topics that are left out

@@ -29,7 +29,7 @@ from capture_sim.plausibility.measured import Measured
 from capture_sim.plausibility.motion import LEAST_DEFLECTION
 from capture_sim.plausibility.rules import Doubt, Grade
 from capture_sim.plausibility.signals import onset
-from capture_sim.run.doubts import Checked, doubts_of, refuse, remaining
+from capture_sim.run.doubts import CountedSeries, doubts_of, refuse, remaining
 from capture_sim.run.frames import Table, events_frame, samples_frame, topic_frame, touches_frame
 from capture_sim.run.lazy import Deferred, Lazy
 from capture_sim.run.loads import loads_of, sampled_extremes, with_closest
@@ -610,7 +610,7 @@ class Run:
         return importlib.import_module("capture_sim").plot(self)
 
 
-def checked(run: Run) -> Checked:
+def checked(run: Run) -> CountedSeries:
     """Return the series of a run that may be judged and fitted, and the doubts to print.
 
     One call for all that evaluates measurements: the series of :attr:`Run.series` without the
@@ -624,7 +624,7 @@ def checked(run: Run) -> Checked:
     """
     doubts = run.doubts
     refuse(run.origin.path or run.name, doubts)
-    return Checked(remaining(run.series, doubts), doubts)
+    return CountedSeries(remaining(run.series, doubts), doubts)
 
 
 def detect(

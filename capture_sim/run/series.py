@@ -89,7 +89,7 @@ def series_in(samples: np.ndarray) -> dict[str, Series]:
     return {name: Series(t, values(samples)) for name, values in _IN_SAMPLES.items()}
 
 
-class Part(NamedTuple):
+class SeriesPart(NamedTuple):
     """One number of a series: its label after the series' name, and how it is displayed.
 
     ``noise`` is the smallest standard deviation that is assumed of a sensor, SI.
@@ -101,11 +101,15 @@ class Part(NamedTuple):
     noise: float
 
 
-_POSE = (Part("x", "mm", 1e3, 1e-6), Part("y", "mm", 1e3, 1e-6), Part("theta", "mrad", 1e3, 1e-6))
+_POSE = (
+    SeriesPart("x", "mm", 1e3, 1e-6),
+    SeriesPart("y", "mm", 1e3, 1e-6),
+    SeriesPart("theta", "mrad", 1e3, 1e-6),
+)
 #: The numbers that are compared and fitted, by series.  In place of a sampled force, touches are.
 PARTS = {
     "chaser": _POSE,
     "target": _POSE,
-    "stroke": (Part("", "mm", 1e3, 1e-7),),
-    "torsion": (Part("", "mrad", 1e3, 1e-7),),
+    "stroke": (SeriesPart("", "mm", 1e3, 1e-7),),
+    "torsion": (SeriesPart("", "mrad", 1e3, 1e-7),),
 }

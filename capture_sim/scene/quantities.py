@@ -57,7 +57,7 @@ def quantity(unit: str, allowed: Range = ANY, *, default: Any = MISSING, doc: st
     return field(default=default, metadata={"unit": unit, "allowed": allowed, "doc": doc})
 
 
-class Points(NamedTuple):
+class PointList(NamedTuple):
     """Declaration of a list of points: names and units of both coordinates, and their number."""
 
     names: tuple[str, str]
@@ -81,7 +81,7 @@ def points(
 ) -> Any:
     """Declare a list of points with names and units of their coordinates, and their number."""
     unit = units[0] if units[0] == units[1] else ", ".join(units)
-    declaration = Points(names, units, *count)
+    declaration = PointList(names, units, *count)
     return field(default=default, metadata={"unit": unit, "points": declaration, "doc": doc})
 
 
@@ -101,7 +101,7 @@ class Declared(NamedTuple):
     allowed: Range | None
     options: tuple[str, ...]
     doc: str
-    points: Points | None = None
+    points: PointList | None = None
 
 
 _declared: dict[type, dict[str, Declared]] = {}

@@ -20,7 +20,7 @@ from capture_sim.errors import CaptureSimError, RecordingError
 from capture_sim.run.first_contact import first_cluster
 from capture_sim.run.loads import LOADS
 from capture_sim.run.run import EVENTS, Run
-from capture_sim.run.series import PARTS, Part, Series
+from capture_sim.run.series import PARTS, Series, SeriesPart
 from capture_sim.run.touches import TICK, Touches
 
 #: Topic of the detector's statuses.
@@ -33,7 +33,7 @@ COMPARED = (*PARTS, "force", DISTANCE)
 SAMPLED_FORCE = "largest sampled force, N"
 
 
-class Figure(NamedTuple):
+class RunFigure(NamedTuple):
     """One number of a run, and its topic and rate."""
 
     value: float
@@ -88,13 +88,13 @@ def sides(a: Run, b: Run) -> tuple[Side, Side]:
     return _without_unresolved_touches(side_a, side_b), _without_unresolved_touches(side_b, side_a)
 
 
-def characteristics(side: Side, *, sampled: bool = False) -> dict[str, Figure]:
+def characteristics(side: Side, *, sampled: bool = False) -> dict[str, RunFigure]:
     """Return the run in a few numbers, by name with the unit; unmeasured values are absent.
 
     Forces and times are those of the touches located between samples, if they are recorded.
     ``sampled`` adds the largest sample of the force, for a run whose other side has only that.
     """
-    figures = {"first contact, s": Figure(side.contact, side.contact_source)}
+    figures = {"first contact, s": RunFigure(side.contact, side.contact_source)}
     touches = side.run.located_touches
     if touches.size:
         first = first_cluster(touches)
@@ -105,13 +105,13 @@ def characteristics(side: Side, *, sampled: bool = False) -> dict[str, Figure]:
             ("touches", touches.size),
             ("normal impulse, N s", touches["impulse"].sum()),
         ):
-            figures[name] = Figure(float(value), EVENTS)
+            figures[name] = RunFigure(float(value), EVENTS)
     else:
         for source, peak_force in side.run.series.get("peak_force", {}).items():
-            figures["peak normal force, N"] = Figure(float(peak_force.values.max()), source)
+            figures["peak normal force, N"] = RunFigure(float(peak_force.values.max()), source)
     if sampled and "force" in side.series:
         largest = float(side.series["force"].values.max())
-        figures[SAMPLED_FORCE] = Figure(largest, side.sources["force"])
+        figures[SAMPLED_FORCE] = RunFigure(largest, side.sources["force"])
     measured = {
         "max_axial_stroke_in": ("stroke", lambda x: -x.min()),
         "max_axial_stroke_out": ("stroke", lambda x: x.max()),
@@ -122,23 +122,23 @@ def characteristics(side: Side, *, sampled: bool = False) -> dict[str, Figure]:
         name = f"{load.meaning}, {load.shown_in}"
         for key, when in ((load.key, ""), (f"{load.key}_before_latch", ", until the latch")):
             if value := side.loads.get(key):
-                figures[name + when] = Figure(value * load.factor, "integration")
+                figures[name + when] = RunFigure(value * load.factor, "integration")
         if not side.loads and value_in is not None and quantity in side.series:
             value = float(value_in(side.series[quantity].values))
-            figures[name] = Figure(value * load.factor, side.sources[quantity])
+            figures[name] = RunFigure(value * load.factor, side.sources[quantity])
         if not side.loads and load.key == "nearest_distance" and (closest := _closest(side)):
             figures[name] = closest._replace(value=closest.value * load.factor)
     return figures
 
 
-def _closest(side: Side) -> Figure | None:
+def _closest(side: Side) -> RunFigure | None:
     """Return the closest approach, m: of exact samples, else as the detector estimates it.
 
     None if it is not known, or if noise hides it.
     """
     run, source = side.run, side.sources.get(DISTANCE, "")
     if source and CAPTURE_STATUS not in source:
-        return Figure(float(side.series[DISTANCE].values.min()), source)
+        return RunFigure(float(side.series[DISTANCE].values.min()), source)
     statuses: Sequence[CaptureStatus] = ()
     with suppress(CaptureSimError):  # a bag without buffer or scene
         statuses = run.statuses
@@ -148,7 +148,7 @@ def _closest(side: Side) -> Figure | None:
     if math.isinf(deviation):
         return None
     error = f", +- {deviation * 1e3:.2f} mm" if deviation else ""
-    return Figure(distance, f"{CAPTURE_STATUS if run.reported_statuses else 'poses'}{error}")
+    return RunFigure(distance, f"{CAPTURE_STATUS if run.reported_statuses else 'poses'}{error}")
 
 
 def _sources(run: Run) -> dict[str, dict[str, Series]]:
@@ -261,7 +261,7 @@ class Gap(NamedTuple):
     """By how much a measured number of two runs differs, second run less first."""
 
     series: str  # its quantity
-    part: Part  # of it
+    part: SeriesPart  # of it
     rms: float  # SI units
     largest: float  # SI units
     at: float  # when it is largest, s after the first contact

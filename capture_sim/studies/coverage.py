@@ -12,7 +12,7 @@ import numpy as np
 
 from capture_sim.studies.candidates import Candidate
 from capture_sim.studies.limits import Measure
-from capture_sim.studies.refinement import Evaluate, Points
+from capture_sim.studies.refinement import CandidatePoints, Evaluate
 
 #: Relative width within which values of an objective count as equal.
 SAME = 0.01
@@ -25,7 +25,7 @@ _POPULATION, _FIRST, _FEWEST_FIRST = 15, 0.25, 50
 
 
 def cover(
-    points: Points,
+    points: CandidatePoints,
     evaluate: Evaluate,
     runs: int,
     seed: int,

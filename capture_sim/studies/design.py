@@ -28,15 +28,15 @@ from capture_sim.studies.front import knee, require_pymoo
 from capture_sim.studies.limit_costs import LimitCost, limit_costs
 from capture_sim.studies.limits import Measure
 from capture_sim.studies.refinement import Evaluate
-from capture_sim.studies.rows import Row
+from capture_sim.studies.rows import DesignRow
 from capture_sim.studies.search import (
     RESERVE,
-    Search,
+    DesignSearch,
     Window,
     search_requirements,
     search_scene,
 )
-from capture_sim.studies.variables import FREE, Variable, make_variables, with_values
+from capture_sim.studies.variables import FREE, FreeVariable, make_variables, with_values
 
 #: Most rows of the table over a front.
 MAX_ROWS = 12
@@ -53,8 +53,8 @@ class Design:
 
     scene: Scene  # that was given
     requirements: Requirements
-    variables: tuple[Variable, ...]
-    rows: tuple[Row, ...]  # one with one objective
+    variables: tuple[FreeVariable, ...]
+    rows: tuple[DesignRow, ...]  # one with one objective
     own: Candidate  # the scene's own buffer
     refusal: str  # why there is no buffer; empty if there is one
     interrupted: bool = False  # under dispersions, the front is then that of the scene alone
@@ -137,11 +137,11 @@ def design_buffer(
     require_pymoo()
     variables = make_variables(scene, requirements.limits, free)
     budget = candidates or default_candidates(requirements)
-    search = Search(
+    search = DesignSearch(
         scene, requirements, variables, window, seed, executor or InProcess(), report, archive
     )
     interrupted, refusal = False, ""
-    rows: list[Row] = []
+    rows: list[DesignRow] = []
     try:
         refusal = search.alone(budget)
     except KeyboardInterrupt:
@@ -196,7 +196,7 @@ def beaten_by(design: Design) -> list[tuple[Measure, float]]:
 
 def costs_of_limits(
     design: Design,
-    row: Row,
+    row: DesignRow,
     *,
     seed: int = 1,
     executor: Executor | None = None,
@@ -227,7 +227,7 @@ def costs_of_limits(
     )
 
 
-def _knee_marked(rows: Sequence[Row], objectives: Sequence[Measure]) -> tuple[Row, ...]:
+def _knee_marked(rows: Sequence[DesignRow], objectives: Sequence[Measure]) -> tuple[DesignRow, ...]:
     if not rows:
         return ()
     at = knee(costs_of([row.candidate for row in rows], objectives))

@@ -18,8 +18,8 @@ import numpy as np
 
 from capture_sim.studies.candidates import Candidate, Requirements
 from capture_sim.studies.limits import Limit
-from capture_sim.studies.refinement import Evaluate, Goal, Points, refine, refine_from
-from capture_sim.studies.variables import Variable
+from capture_sim.studies.refinement import CandidatePoints, Evaluate, Goal, refine, refine_from
+from capture_sim.studies.variables import FreeVariable
 
 #: Use of a limit from which on it is active.
 ACTIVE = 0.98
@@ -34,7 +34,7 @@ _BINDING = 0.999
 _LEAST_ERROR = 1e-6
 
 
-class Change(NamedTuple):
+class CostChange(NamedTuple):
     """Relative change of an objective, and its error; NaN where it was not found out."""
 
     value: float
@@ -47,7 +47,7 @@ class LimitCost:
 
     limit: Limit
     use: float  # share of the limit
-    changes: tuple[tuple[Change, ...], ...]  # of each step, of each objective
+    changes: tuple[tuple[CostChange, ...], ...]  # of each step, of each objective
 
 
 #: Gives the evaluation of candidates under requirements.
@@ -63,7 +63,7 @@ class _Optimum(NamedTuple):
 def limit_costs(
     row: Candidate,
     known: Sequence[Mapping[str, float]],
-    variables: Sequence[Variable],
+    variables: Sequence[FreeVariable],
     requirements: Requirements,
     evaluate: EvaluatorOf,
     runs: int,
@@ -116,9 +116,9 @@ def limit_costs(
                 if difference == 0.0 and limit.use(_load(base[n], limit)) > _BINDING:
                     difference = math.nan  # nothing better at a limit: the search is stuck
                 if objective.sign > 0.0:
-                    of_step.append(Change(math.expm1(difference), error))
+                    of_step.append(CostChange(math.expm1(difference), error))
                 else:
-                    of_step.append(Change(-difference, error))
+                    of_step.append(CostChange(-difference, error))
             changes.append(tuple(of_step))
         found.append(LimitCost(limit, limit.use(row.loads[limit.key]), tuple(changes)))
     return tuple(found)
@@ -131,19 +131,19 @@ def _load(optimum: _Optimum, limit: Limit) -> float:
 def _optimum(
     goal: Goal,
     begin: Sequence[Mapping[str, float]],
-    variables: Sequence[Variable],
+    variables: Sequence[FreeVariable],
     requirements: Requirements,
     evaluate: Evaluate,
     runs: int,
     seed: int,
 ) -> _Optimum:
     """Minimise a goal twice, with two seeds, and restart the first."""
-    start = Points(variables, requirements.objectives)
+    start = CandidatePoints(variables, requirements.objectives)
     start.add(evaluate(begin[:_KEPT]))
     found = []
     gain = 0.0
     for rng in (None, np.random.default_rng([seed, 5])):
-        points = Points(variables, requirements.objectives)
+        points = CandidatePoints(variables, requirements.objectives)
         points.add(start.candidates)
         refine_from(goal, points.best(goal, 1)[0], points, evaluate, runs, _SIZE, rng)
         if rng is None:

@@ -86,7 +86,7 @@ def outcome_of(run: Integration) -> Outcome:
 
 
 @dataclass(frozen=True)
-class FirstContact:
+class FirstContactLoads:
     """The first contact of a run (:func:`capture_sim.run.first_contact.first_cluster`); SI units.
 
     Largest magnitudes until it ended.  Strokes are |Delta x| and |Delta theta| of the paper's
@@ -102,7 +102,7 @@ class FirstContact:
     failure: str = ""  # why the run had to stop; the rest is then of what was run
 
 
-def run_first_contact(scene: Scene) -> FirstContact:
+def run_first_contact(scene: Scene) -> FirstContactLoads:
     """Run a scene until its first contact is over."""
     grid = np.arange(0.0, scene.run.t_end, 1.0 / _RATE)
     bench, now, end, failure = Bench(scene), 0.0, None, ""
@@ -114,7 +114,7 @@ def run_first_contact(scene: Scene) -> FirstContact:
             break
     began = next((e.t for e in bench.events if e.kind is EventKind.TOUCH), None)
     if began is None:
-        return FirstContact(0.0, 0.0, math.nan, 0.0, 0.0, 0, failure)
+        return FirstContactLoads(0.0, 0.0, math.nan, 0.0, 0.0, 0, failure)
     end, touches = now if end is None else end, first_cluster(bench.touches)
     bench = Bench(scene)  # once more, to the contact's end and no further: its extremes
     try:
@@ -130,7 +130,7 @@ def run_first_contact(scene: Scene) -> FirstContact:
         exact = (float(found[name]) for name in extremes if found[f"{name}_time"] >= began)
         return max([sampled, *exact])
 
-    return FirstContact(
+    return FirstContactLoads(
         axial_stroke=largest("axial_stroke", "axial_stroke_in", "axial_stroke_out"),
         torsion=largest("torsion", "torsion"),
         duration=end - began,

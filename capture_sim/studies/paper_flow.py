@@ -33,7 +33,7 @@ from capture_sim.scene.paths import changed
 from capture_sim.scene.quantities import POSITIVE, Checked, Range, quantity
 from capture_sim.studies.limits import Limit, exceeded
 from capture_sim.studies.outcome import (
-    FirstContact,
+    FirstContactLoads,
     Outcome,
     run_first_contact,
     run_to_end,
@@ -88,7 +88,7 @@ class FirstContactTarget(Checked):
 
 
 @dataclass(frozen=True)
-class Trial:
+class FlowRun:
     """One run of the flow: the buffer tried, and its result; SI units.
 
     The search for springs has no verdict.
@@ -121,12 +121,12 @@ class FirstContactDesign:
     target: FirstContactTarget
     refusal: str  # why no buffer meets the target; empty if one does
     scene: Scene | None = None  # with the buffer, or with the nearest to the target that was found
-    undamped: FirstContact | None = None  # with these springs, without the damper
-    damped: FirstContact | None = None
+    undamped: FirstContactLoads | None = None  # with these springs, without the damper
+    damped: FirstContactLoads | None = None
     outcome: Outcome | None = None  # of the scene's whole run
     capturing: tuple[float, float] | None = None  # dampers that capture in the limits, N s/m
     energy: Energy | None = None  # until the verdict
-    history: tuple[Trial, ...] = field(default=(), repr=False)  # every run, in order
+    history: tuple[FlowRun, ...] = field(default=(), repr=False)  # every run, in order
 
     @property
     def met(self) -> bool:
@@ -151,7 +151,7 @@ class Springs:
 
     k_A: float
     k_T: float
-    response: FirstContact
+    response: FirstContactLoads
     error: float
 
     @property
@@ -245,7 +245,7 @@ def find_springs(
     start: tuple[float, float],
     *,
     thorough: bool = True,
-    report: Callable[[Trial], None] | None = None,
+    report: Callable[[FlowRun], None] | None = None,
 ) -> Springs:
     """Find the springs with which a scene has the target strokes.
 
@@ -279,7 +279,7 @@ def find_springs(
         response = run_first_contact(with_buffer(scene, k_A, k_T, c_A))
         if report is not None:
             strokes = response.axial_stroke, response.torsion
-            report(Trial(k_A, k_T, c_A, *strokes, response.peak_force, reason=response.failure))
+            report(FlowRun(k_A, k_T, c_A, *strokes, response.peak_force, reason=response.failure))
         strokes = response.axial_stroke, response.torsion
         # without a stroke the error is that of the range of springs
         r = np.log(np.maximum(strokes, 1e-12) / [target.axial_stroke, target.torsion])
@@ -329,12 +329,12 @@ class _Flow:
     """One pass through the flow, and its history."""
 
     def __init__(
-        self, scene: Scene, target: FirstContactTarget, report: Callable[[Trial], None] | None
+        self, scene: Scene, target: FirstContactTarget, report: Callable[[FlowRun], None] | None
     ) -> None:
         self.scene, self.target, self._report = scene, target, report
-        self.history: list[Trial] = []
+        self.history: list[FlowRun] = []
 
-    def _add(self, candidate: Trial) -> None:
+    def _add(self, candidate: FlowRun) -> None:
         self.history.append(candidate)
         if self._report is not None:
             self._report(candidate)
@@ -351,7 +351,7 @@ class _Flow:
         stroke = max(loads["max_axial_stroke_in"], loads["max_axial_stroke_out"])
         values = stroke, loads["max_torsion"], loads["max_normal_force"]
         result = float(loads["nearest_distance"]), outcome.verdict, outcome.reason
-        self._add(Trial(springs.k_A, springs.k_T, c_A, *values, *result))
+        self._add(FlowRun(springs.k_A, springs.k_T, c_A, *values, *result))
         return _Damper(c_A, springs, outcome)
 
     def good(self, damper: _Damper) -> bool:
@@ -395,7 +395,7 @@ class _Flow:
 
 
 def design_first_contact(
-    scene: Scene, target: FirstContactTarget, report: Callable[[Trial], None] | None = None
+    scene: Scene, target: FirstContactTarget, report: Callable[[FlowRun], None] | None = None
 ) -> FirstContactDesign:
     """Find springs and damper for the strokes of the first contact, as the paper does.
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from capture_sim.studies.candidates import Candidate
 from capture_sim.studies.limits import Measure
-from capture_sim.studies.variables import Variable
+from capture_sim.studies.variables import FreeVariable
 
 #: What an excess of 1 (a factor e above a limit) adds to a goal.
 PENALTY = 10.0
@@ -47,10 +47,10 @@ class Goal:
         return np.asarray(costs @ np.array(self.weights) + PENALTY * excess)
 
 
-class Points:
+class CandidatePoints:
     """Candidates with their places in the ranges, and their costs; a goal's archive."""
 
-    def __init__(self, variables: Sequence[Variable], objectives: Sequence[Measure]) -> None:
+    def __init__(self, variables: Sequence[FreeVariable], objectives: Sequence[Measure]) -> None:
         self.variables, self.objectives = tuple(variables), tuple(objectives)
         self.candidates: list[Candidate] = []
         self._shares: list[list[float]] = []
@@ -120,7 +120,7 @@ Evaluate = Callable[[Sequence[Mapping[str, float]]], list[Candidate]]
 
 def refine(
     goals: Sequence[Goal],
-    points: Points,
+    points: CandidatePoints,
     evaluate: Evaluate,
     runs: int,
     rng: np.random.Generator | None = None,
@@ -151,7 +151,7 @@ def refine(
 def refine_from(
     goal: Goal,
     start: Candidate,
-    points: Points,
+    points: CandidatePoints,
     evaluate: Evaluate,
     runs: int,
     size: float,
@@ -165,7 +165,9 @@ def refine_from(
 Search = Generator[np.ndarray, float, None]
 
 
-def _in_step(searches: Sequence[tuple[Goal, Search]], points: Points, evaluate: Evaluate) -> bool:
+def _in_step(
+    searches: Sequence[tuple[Goal, Search]], points: CandidatePoints, evaluate: Evaluate
+) -> bool:
     """Advance searches together until each has used its runs; False if the budget ended."""
     active = []
     for goal, search in searches:
@@ -187,7 +189,7 @@ def _in_step(searches: Sequence[tuple[Goal, Search]], points: Points, evaluate: 
     return True
 
 
-def _starts(points: Points, shares: np.ndarray, goal: Goal) -> list[int]:
+def _starts(points: CandidatePoints, shares: np.ndarray, goal: Goal) -> list[int]:
     """Return the best points of a goal that are apart from each other."""
     chosen: list[int] = []
     for k in np.argsort(points.goal_values(goal), kind="stable").tolist():
@@ -198,7 +200,7 @@ def _starts(points: Points, shares: np.ndarray, goal: Goal) -> list[int]:
     return chosen
 
 
-def _neighbours(points: Points, shares: np.ndarray, goal: Goal) -> list[np.ndarray]:
+def _neighbours(points: CandidatePoints, shares: np.ndarray, goal: Goal) -> list[np.ndarray]:
     """Return the best point with the items next to its own of each catalogue."""
     best = shares[int(np.argmin(points.goal_values(goal)))]
     found = []
@@ -217,7 +219,11 @@ def single(x: np.ndarray) -> Search:
 
 
 def _search(
-    points: Points, start: np.ndarray, size: float, runs: int, rng: np.random.Generator | None
+    points: CandidatePoints,
+    start: np.ndarray,
+    size: float,
+    runs: int,
+    rng: np.random.Generator | None,
 ) -> Search:
     """Search from a start over the values that have a range; catalogues keep the start's item."""
     free = [k for k, each in enumerate(points.variables) if not each.choices]

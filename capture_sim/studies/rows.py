@@ -20,7 +20,7 @@ from capture_sim.studies.dispersion import Probability
 from capture_sim.studies.limits import Measure
 from capture_sim.studies.outcome import CAPTURED, run_to_end
 from capture_sim.studies.refinement import Goal
-from capture_sim.studies.variables import Variable, with_values
+from capture_sim.studies.variables import FreeVariable, with_values
 
 #: A load that is neither limited nor minimised is named from this multiple of the own buffer's on.
 GROWN = 3.0
@@ -47,7 +47,7 @@ class Sharpness:
 
 
 @dataclass(frozen=True)
-class Row:
+class DesignRow:
     """A buffer of the front."""
 
     candidate: Candidate  # at the tolerance of the scene; with draws: quantiles in new draws
@@ -64,13 +64,13 @@ class Row:
 
 
 def detailed(
-    rows: Sequence[Row],
+    rows: Sequence[DesignRow],
     own: Candidate,
     scene: Scene,
     requirements: Requirements,
-    variables: Sequence[Variable],
+    variables: Sequence[FreeVariable],
     evaluators: Mapping[float, Evaluator],
-) -> list[Row]:
+) -> list[DesignRow]:
     """Return rows with what they should be known for: ends, sharpness, staying, other loads.
 
     ``evaluators`` are those of the scene with t_end times a factor, by the factor; 1 is one.
@@ -153,7 +153,7 @@ def _grown(
 
 
 def _sharpness(
-    row: Row, requirements: Requirements, variables: Sequence[Variable], exact: Evaluator
+    row: DesignRow, requirements: Requirements, variables: Sequence[FreeVariable], exact: Evaluator
 ) -> Sharpness | None:
     """Return the worst of the runs with one value 1 % larger or smaller; None with draws."""
     if row.check is not None or requirements.area:

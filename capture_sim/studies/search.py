@@ -21,10 +21,10 @@ from capture_sim.studies.dispersion import Probability
 from capture_sim.studies.front import knee, layers, spread_points
 from capture_sim.studies.limit_costs import ACTIVE
 from capture_sim.studies.outcome import CAPTURED
-from capture_sim.studies.refinement import Goal, Points, refine
-from capture_sim.studies.rows import CONVERGED, ENDED, LONGER, LONGEST, Row, detailed, lasting
+from capture_sim.studies.refinement import CandidatePoints, Goal, refine
+from capture_sim.studies.rows import CONVERGED, ENDED, LONGER, LONGEST, DesignRow, detailed, lasting
 from capture_sim.studies.sweep import RTOL
-from capture_sim.studies.variables import Variable, fields_of, own_value, with_values
+from capture_sim.studies.variables import FreeVariable, fields_of, own_value, with_values
 
 #: Rows of a front unless the budget is small, and the candidates that a row needs.
 _ROWS, _FEWEST_ROWS, _RUNS_OF_ROW = 7, 3, 800
@@ -71,14 +71,14 @@ def search_requirements(requirements: Requirements) -> Requirements:
     return requirements.tightened(_TIGHTER)
 
 
-class Search:
+class DesignSearch:
     """The search for one design, and its history."""
 
     def __init__(
         self,
         scene: Scene,
         requirements: Requirements,
-        variables: tuple[Variable, ...],
+        variables: tuple[FreeVariable, ...],
         window: Window | None,
         seed: int,
         executor: Executor,
@@ -111,7 +111,7 @@ class Search:
         self._exact = self._longer[1.0]
         self._own = {each.name: own_value(scene, each.name) for each in variables}
         self._left = 0  # candidates of the stage
-        self.points = Points(variables, self._objectives)
+        self.points = CandidatePoints(variables, self._objectives)
         self._goals: list[Goal] = []
         self._words: list[str] = []
         #: The rows of the last round under dispersions, with their check.
@@ -139,7 +139,7 @@ class Search:
             begin = [self._own, *begin]
         return self._stage(self._coarse.alone, begin, brief=is_first_of_two)
 
-    def with_draws(self, budget: int) -> list[Row]:
+    def with_draws(self, budget: int) -> list[DesignRow]:
         """Return buffers under dispersions that pass the check with new draws."""
         alone = self.points
         start = [alone.candidates[k].values for k in _promising(alone, self._requirements)]
@@ -157,7 +157,7 @@ class Search:
             if shown:
                 self.checked = self._coarse.check([best[k][0] for k in shown], 2 * number + 1)
                 rows = [
-                    Row(found, self._goals[k], convergence=self._words[k], check=check)
+                    DesignRow(found, self._goals[k], convergence=self._words[k], check=check)
                     for k, (found, check) in zip(shown, self.checked, strict=True)
                     if found.feasible
                 ]
@@ -168,12 +168,12 @@ class Search:
             start = [self.points.candidates[k].values for k in order]
         return []
 
-    def confirmed(self, *, interrupted: bool) -> list[Row]:
+    def confirmed(self, *, interrupted: bool) -> list[DesignRow]:
         """Return the best buffer of each goal at the tolerance of the scene."""
         if interrupted:
             self._goals = self._make_goals(_FEWEST_ROWS if len(self._objectives) > 1 else 1)
             self._words = ["interrupted"] * len(self._goals)
-        rows: dict[int, Row] = {}
+        rows: dict[int, DesignRow] = {}
         for number in range(_CONFIRMED):
             tried = {}
             for k, goal in enumerate(self._goals):
@@ -185,7 +185,7 @@ class Search:
             found = self._exact.alone([each.values for each in tried.values()])
             for k, exact in zip(tried, found, strict=True):
                 if exact.feasible:
-                    rows[k] = Row(exact, self._goals[k], convergence=self._words[k])
+                    rows[k] = DesignRow(exact, self._goals[k], convergence=self._words[k])
         return self._front([rows[k] for k in sorted(rows)])
 
     def _stage(
@@ -202,7 +202,7 @@ class Search:
             self._left -= len(asked)
             return evaluate(asked) if asked else []
 
-        points = self.points = Points(self.variables, self._objectives)
+        points = self.points = CandidatePoints(self.variables, self._objectives)
         runs = min(_COVERAGE, int(_COVERAGE_SHARE * self._left))
         places = [[each.share(x[each.name]) for each in self.variables] for x in begin]
         for number, found in enumerate(cover(points, within_budget, runs, self._seed, places)):
@@ -269,7 +269,7 @@ class Search:
         both: two seeds may have stopped at the same kink.
         """
         goals, rng = self._goals, np.random.default_rng([self._seed, 99])
-        other = Points(self.variables, self._objectives)
+        other = CandidatePoints(self.variables, self._objectives)
         for _ in cover(other, evaluate, of_second, self._seed + 7919):
             pass
         if not len(other.candidates) or not refine(goals, other, evaluate, per_pass, rng):
@@ -324,7 +324,7 @@ class Search:
         if wider == list(self.variables):
             return False
         self.variables = tuple(wider)
-        points = Points(self.variables, self._objectives)
+        points = CandidatePoints(self.variables, self._objectives)
         points.add(self.points.candidates)
         self.points = points
         return True
@@ -396,7 +396,7 @@ class Search:
         low, high = sorted((measure.cost(self._window.low), measure.cost(self._window.high)))
         return low, high
 
-    def _front(self, rows: Sequence[Row]) -> list[Row]:
+    def _front(self, rows: Sequence[DesignRow]) -> list[DesignRow]:
         """Return the rows of which no other is better in all objectives, in order."""
         if not rows:
             return []
@@ -422,7 +422,7 @@ class Search:
                 found.append(mine)
         if not found:
             return []
-        points = Points(self.variables, self._objectives)
+        points = CandidatePoints(self.variables, self._objectives)
         points.add(self._coarse.under(search_requirements(self._requirements)).alone(found))
         order = np.argsort(points.violations, kind="stable")
         feasible = np.flatnonzero(points.violations <= 0.0)
@@ -431,12 +431,12 @@ class Search:
             order = np.array([*first, *(k for k in order if k not in set(first.tolist()))])
         return [dict(points.candidates[k].values) for k in order[:_COVERAGE].tolist()]
 
-    def detailed(self, rows: Sequence[Row], own: Candidate) -> list[Row]:
+    def detailed(self, rows: Sequence[DesignRow], own: Candidate) -> list[DesignRow]:
         """Return rows with what they should be known for."""
         of_scene = self._scene, self._requirements, self.variables
         return detailed(rows, own, *of_scene, self._longer)
 
-    def refusal(self, rows: Sequence[Row]) -> str:
+    def refusal(self, rows: Sequence[DesignRow]) -> str:
         """Return why there is no buffer; empty if there is one."""
         if rows:
             return ""
@@ -513,7 +513,7 @@ def _rounded_up(share: float) -> str:
     return f"{math.ceil(share * 1000.0) / 10.0:.1f} %"
 
 
-def _promising(points: Points, requirements: Requirements) -> list[int]:
+def _promising(points: CandidatePoints, requirements: Requirements) -> list[int]:
     """Return the points to begin with under dispersions: the best, and those with much margin."""
     feasible = np.flatnonzero(points.violations <= 0.0)
     if not feasible.size:

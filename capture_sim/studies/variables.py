@@ -39,7 +39,7 @@ _USUAL_STROKE, _USUAL_TORSION = 0.02, 0.01
 
 
 @dataclass(frozen=True)
-class Variable:
+class FreeVariable:
     """A free value, and the range or the catalogue that is searched.
 
     A range is searched on a logarithmic scale if both ends are > 0.
@@ -84,7 +84,7 @@ class Variable:
             return "lower"
         return "upper" if share > 1.0 - _AT_END else ""
 
-    def widened(self, end: str) -> Variable:
+    def widened(self, end: str) -> FreeVariable:
         """Return the variable with ten times the range at one end, as far as physics has it."""
         if end == "lower":
             return dataclasses.replace(self, low=self.low / _WIDER)
@@ -98,14 +98,14 @@ class Variable:
 
 def make_variables(
     scene: Scene, limits: Sequence[Limit], free: Sequence[str]
-) -> tuple[Variable, ...]:
+) -> tuple[FreeVariable, ...]:
     """Return the values to search with their ranges or catalogues.
 
     Ranges that are not given are those around a buffer that absorbs the energy of the approach
     within the limits of its strokes.  SceneError if a name or a range is invalid.
     """
     usual = _usual_ranges(scene, limits)
-    variables: list[Variable] = []
+    variables: list[FreeVariable] = []
     for text in free:
         name, _, given = (part.strip() for part in text.partition("="))
         what = _declaration(scene, name)
@@ -125,7 +125,7 @@ def make_variables(
         if not ends[0] < ends[1]:
             raise SceneError(f"free {name} = {given}: must be LOW < HIGH")
         whole = not given or _is_wide(ends, usual.get(name))
-        variables.append(Variable(name, *ends, what.unit, (), bool(given), whole))
+        variables.append(FreeVariable(name, *ends, what.unit, (), bool(given), whole))
     names = {variable.name for variable in variables}
     if not variables:
         raise SceneError("free: must have one value or more")
@@ -148,7 +148,7 @@ def _declaration(scene: Scene, name: str) -> Declared:
     return what
 
 
-def _of_catalogue(name: str, given: str, what: Declared) -> Variable:
+def _of_catalogue(name: str, given: str, what: Declared) -> FreeVariable:
     """Return the variable of a catalogue, ``[450,500,560]``."""
     items = [item.strip() for item in given[1:].removesuffix("]").split(",") if item.strip()]
     try:
@@ -161,7 +161,7 @@ def _of_catalogue(name: str, given: str, what: Declared) -> Variable:
         ) from None
     for choice in choices:
         accept(choice, what, f"free {name}")
-    return Variable(name, choices[0], choices[-1], what.unit, tuple(choices), True, False)
+    return FreeVariable(name, choices[0], choices[-1], what.unit, tuple(choices), True, False)
 
 
 def _ends(name: str, given: str, unit: str) -> tuple[float, float]:

@@ -87,7 +87,7 @@ class PlottedRun(NamedTuple):
         return np.asarray(self.samples["t"]) - self.origin
 
 
-class Limit(NamedTuple):
+class LimitLine(NamedTuple):
     """A level that a quantity is to reach or not to pass: name, value in its unit, colour."""
 
     name: str
@@ -109,7 +109,7 @@ class Quantity(NamedTuple):
     #: Times (n,), s, and values (n,), SI, of a run, with the touches between its samples.  None if
     #: the samples are all: then the line shows contact and flight.
     located: Callable[[Run], tuple[np.ndarray, np.ndarray]] | None = None
-    limits: Callable[[Scene], tuple[Limit, ...]] = lambda _: ()  # of a scene, in the unit
+    limits: Callable[[Scene], tuple[LimitLine, ...]] = lambda _: ()  # of a scene, in the unit
 
     @property
     def axis(self) -> str:
@@ -147,20 +147,20 @@ def _rate(index: int) -> Callable[[np.ndarray], np.ndarray]:
     return lambda samples: np.asarray(samples["v"][:, index])
 
 
-def _stops(scene: Scene) -> tuple[Limit, ...]:
+def _stops(scene: Scene) -> tuple[LimitLine, ...]:
     stops = {
         "stop, inwards": None if scene.stops is None else -scene.stops.compression,
         "stop, outwards": scene.outward_stroke,
     }
     return tuple(
-        Limit(name, stroke * 1e3, style.GREY)
+        LimitLine(name, stroke * 1e3, style.GREY)
         for name, stroke in stops.items()
         if stroke is not None
     )
 
 
-def _zone(scene: Scene) -> tuple[Limit, ...]:
-    return (Limit("capture zone", scene.detector.capture_radius * 1e3, style.ZONE),)
+def _zone(scene: Scene) -> tuple[LimitLine, ...]:
+    return (LimitLine("capture zone", scene.detector.capture_radius * 1e3, style.ZONE),)
 
 
 FORCE = Quantity(

@@ -7,7 +7,7 @@ import pytest
 
 from capture_sim import load_scene
 from capture_sim.detection.align import Aligner
-from capture_sim.detection.gate import Gate, Limits
+from capture_sim.detection.gate import Gate, PoseLimits
 from capture_sim.detection.measurements import MAX_LEAD, Counts, Reason, Sequencer, Source
 from capture_sim.detection.noise import NoiseEstimate, Resolution, third_difference
 from capture_sim.detection.smoother import MeasuredTip, TipPath
@@ -220,7 +220,7 @@ def gated(poses, rate=240.0):
     """Return which poses (n, 3) of the chaser pass, and the gate."""
     counts = Counts()
     scene = load_scene("tilt_0")
-    gate = Gate(Source.CHASER, Limits.of(scene, Source.CHASER), counts)
+    gate = Gate(Source.CHASER, PoseLimits.of(scene, Source.CHASER), counts)
     passed = []
     for k, pose in enumerate(np.asarray(poses).tolist()):
         if not math.isnan(pose[0]):

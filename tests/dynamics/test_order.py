@@ -19,7 +19,7 @@ import pytest
 
 from capture_sim import Bench, load_scene
 from capture_sim.dynamics.engine import loop
-from capture_sim.dynamics.engine.state import Status
+from capture_sim.dynamics.engine.state import StepStatus
 from capture_sim.dynamics.samples import SAMPLE
 
 #: Nominal order, setting of the run that is refined, and its values.
@@ -72,7 +72,7 @@ def mean_length(scene, t_end, order, **settings):
         progress["n_log"] = 0
         just_after = np.array([np.nextafter(ends[-1], np.inf)])
         loop.advance(bench._workspace, just_after, sample, bench._trace_room)
-        assert progress["status"] == Status.SERVED
+        assert progress["status"] == StepStatus.SERVED
         ends.append(float(step["t1"]))
     h = np.diff(ends)
     return (np.sum(h ** (order + 1)) / h.sum()) ** (1.0 / order)

@@ -8,7 +8,7 @@ import pytest
 from capture_sim import load_scene
 from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.answers import Answers
-from capture_sim.hardware.guard import Guard, Limits
+from capture_sim.hardware.guard import Guard, LoopLimits
 from capture_sim.hardware.law import NO_WRENCH, TipState, Wrench
 from capture_sim.hardware.messages import tip_message, tip_of, wrench_message, wrench_of
 from capture_sim.hardware.stage import LoopStage, SafeStopError
@@ -16,7 +16,7 @@ from capture_sim.messages.convert import CONE_FRAME, Messages
 from capture_sim.messages.definitions import typestore
 
 
-def at_rest(limits=Limits(), rest=(NO_WRENCH,) * 100):  # noqa: B008 - frozen
+def at_rest(limits=LoopLimits(), rest=(NO_WRENCH,) * 100):  # noqa: B008 - frozen
     answers = Answers(Guard(LoopStage(load_scene("_loop")), limits))
     for wrench in rest:
         answers.offer(0.0, 0.0, wrench, None)
@@ -67,7 +67,7 @@ def test_what_cannot_be_used_is_counted_by_its_reason():
 
 
 def test_a_wrench_is_held_up_to_the_limit_and_no_longer():
-    answers = at_rest(Limits(latency=0.01))
+    answers = at_rest(LoopLimits(latency=0.01))
     answers.offer(0.001, 0.001, Wrench(1.0), None)
     answers.check_latency(0.011)
     with pytest.raises(

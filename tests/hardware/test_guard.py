@@ -8,10 +8,10 @@ from dataclasses import replace
 import pytest
 from plate import MASS, SCENE, WIDE, close, ideal_rig, plate_law
 
-from capture_sim.hardware.guard import Guard, Limits
+from capture_sim.hardware.guard import Guard, LoopLimits
 from capture_sim.hardware.law import TipState, Wrench
 from capture_sim.hardware.loop import METHODS, Loop, run_in_process
-from capture_sim.hardware.pacing import MIN_INTERVAL, Pacer, request_priority
+from capture_sim.hardware.pacing import MIN_INTERVAL, LoopPacer, request_priority
 from capture_sim.hardware.rig import IDEAL, Cell, Rig, Servo, Transport
 from capture_sim.hardware.stage import LoopStage, SafeStopError
 
@@ -60,7 +60,7 @@ def test_no_position_is_sent_beyond_the_acceleration_limit(method, delay):
 
 
 def test_without_a_run_up_the_first_motion_from_rest_is_a_blow():
-    loop = Loop(LoopStage(SCENE), limits=Limits(acceleration=99.0), run_up=0.0)
+    loop = Loop(LoopStage(SCENE), limits=LoopLimits(acceleration=99.0), run_up=0.0)
     why = run_in_process(loop, ideal_rig(SCENE, WALL), 0.1)
     assert "commanded acceleration = 100 m/s^2: must be <= 99" in why
 
@@ -81,7 +81,7 @@ def test_the_run_up_ends_in_the_first_position_at_its_speed():
 
 @pytest.mark.parametrize("field", ["x", "y", "theta"])
 def test_a_position_that_is_no_number_is_not_sent(field):
-    guard = Guard(LoopStage(SCENE), Limits())
+    guard = Guard(LoopStage(SCENE), LoopLimits())
     pose = guard.send(TipState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     with pytest.raises(SafeStopError, match="commanded"):
         guard.send(pose._replace(**{field: math.nan}))
@@ -91,7 +91,7 @@ def test_prediction_moves_without_jumps_while_the_lag_changes():
     """Jumps of the latency and a slow servo, at the default limits, before any contact."""
     for jitter in (0.0, 2e-3):
         rig = Recorded(Rig(SCENE, WALL, Servo(10.0, 0.01), Cell(), Transport(0.004, jitter)))
-        _, why = close(SCENE, rig, "prediction", limits=Limits(), t_end=0.15)
+        _, why = close(SCENE, rig, "prediction", limits=LoopLimits(), t_end=0.15)
         assert not why
         assert largest_acceleration(rig.poses) < 10.0
 
@@ -150,7 +150,7 @@ def test_a_wall_that_is_felt_is_no_fault(sends_tip):
     """A slow servo and a soft wall at the default limits, also without a measured tip."""
     wall = plate_law(MASS, 0.2)
     loop, why = close(
-        SCENE, Rig(SCENE, wall, Servo(), sends_tip=sends_tip), "model", wall, Limits(), 0.9
+        SCENE, Rig(SCENE, wall, Servo(), sends_tip=sends_tip), "model", wall, LoopLimits(), 0.9
     )
     assert not why
     assert loop.contact.peak_force > 5.0
@@ -200,7 +200,7 @@ class Clock:
 def paced(work_times, period=STEP, max_lateness=1.0, max_late_share=1.0):
     """Return when positions were sent, by the time of the work on each (s), and the pacer."""
     clock = Clock()
-    pacer, sent = Pacer(period, max_lateness, max_late_share, clock), []
+    pacer, sent = LoopPacer(period, max_lateness, max_late_share, clock), []
     for work in work_times:
         clock.now += pacer.time_to_work()
         clock.now += work

@@ -22,7 +22,7 @@ from plate import (
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.answers import Answer
-from capture_sim.hardware.guard import Limits
+from capture_sim.hardware.guard import LoopLimits
 from capture_sim.hardware.law import WallLaw, Wrench
 from capture_sim.hardware.loop import Loop, run_in_process
 from capture_sim.hardware.rig import IDEAL, Cell, Rig, Servo, Transport
@@ -336,5 +336,5 @@ def test_a_tip_that_does_not_follow_gives_no_lag():
     loop = Loop(LoopStage(SCENE))
     first = loop.pose
     assert not run_in_process(loop, Stuck(), 0.15)
-    assert loop.lag > Limits().latency
+    assert loop.lag > LoopLimits().latency
     assert loop.known_lag is None

@@ -10,7 +10,7 @@ from four_bodies import kinetic
 from plate import plate_law, plate_mass
 
 from capture_sim import load_scene
-from capture_sim.hardware.guard import Limits
+from capture_sim.hardware.guard import LoopLimits
 from capture_sim.hardware.law import TipState, WallLaw, Wrench
 from capture_sim.hardware.loop import METHODS, Loop, run_in_process
 from capture_sim.hardware.rig import Cell, Rig, Servo, Transport
@@ -19,7 +19,7 @@ from capture_sim.hardware.stage import LoopStage
 CASES = cases(few=54, all=162)  # each fault with each method
 SCENE = load_scene("_loop")
 MASS = plate_mass(SCENE)
-LIMITS = Limits()
+LIMITS = LoopLimits()
 FAULTS = (
     "none",
     "frozen",
@@ -193,7 +193,7 @@ def test_a_rig_that_gives_energy_is_stopped_by_the_energy_limit(method, kind):
 @pytest.mark.parametrize("offset", [0.0, -5e-5, 5e-5])
 def test_a_model_generates_no_energy_on_a_rig_of_any_stiffness(share, offset):
     """Three shots, each from the law that the one before has found."""
-    law, wide = WallLaw(2000.0), Limits(1e-3, 1e9, 1e9, 1e3, 1e9, 1.0, depth=1.0)
+    law, wide = WallLaw(2000.0), LoopLimits(1e-3, 1e9, 1e9, 1e3, 1e9, 1.0, depth=1.0)
     for seed in range(3):
         stage = LoopStage(SCENE)
         loop = Loop(stage, "model", law, wide)

@@ -8,7 +8,7 @@ from collections import deque
 
 import numpy as np
 
-from capture_sim.hardware.pacing import Pacer
+from capture_sim.hardware.pacing import LoopPacer
 from capture_sim.hardware.rig import Rig
 from capture_sim.nodes.base.publishers import Publishers
 from tests.nodes.bench_client import LONGEST
@@ -35,7 +35,7 @@ def count_sent(path, name):
 # a loop and its rig in lockstep
 
 
-class Unpaced(Pacer):
+class Unpaced(LoopPacer):
     """Positions are sent as soon as they are known."""
 
     def time_to_work(self):
@@ -101,7 +101,7 @@ def in_lockstep_loop(path, node):
             self.wait(limit=0.001)
         hand_over(self)
 
-    node.Pacer = Unpaced
+    node.LoopPacer = Unpaced
     node.LoopSimulatorNode.__init__ = begin
     node.LoopSimulatorNode._hand_over_answers = hand_over_all
 

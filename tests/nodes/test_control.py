@@ -7,7 +7,7 @@ import pytest
 
 from capture_sim.nodes.protocol.ends import CutKind
 from capture_sim.nodes.simulation.control import Code, RunCut, SimulationControl, State
-from capture_sim.nodes.simulation.pacing import MAX_RECOVERED_DELAY, Pacer
+from capture_sim.nodes.simulation.pacing import MAX_RECOVERED_DELAY, RunPacer
 
 
 class Clock:
@@ -22,7 +22,7 @@ class Clock:
 
 def paced(factor):
     clock = Clock()
-    return Pacer(factor, clock), clock
+    return RunPacer(factor, clock), clock
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 10.0])
@@ -96,7 +96,7 @@ def control_of(state, factor=0.0, requests=(), **options):
         if left:
             left.pop(0)(control)
 
-    control = SimulationControl(state, Pacer(factor), wait, **options)
+    control = SimulationControl(state, RunPacer(factor), wait, **options)
     return control, waits
 
 
@@ -186,7 +186,7 @@ def test_interrupt_ends_the_wait():
     def wait(limit):
         raise KeyboardInterrupt
 
-    control = SimulationControl(State.PAUSED, Pacer(1.0), wait)
+    control = SimulationControl(State.PAUSED, RunPacer(1.0), wait)
     control.begin()
     with pytest.raises(KeyboardInterrupt):
         control.tick(0.0)

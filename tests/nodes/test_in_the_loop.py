@@ -19,7 +19,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 
 from capture_sim import load_scene, read_run
 from capture_sim.cli import main
-from capture_sim.hardware.guard import Limits
+from capture_sim.hardware.guard import LoopLimits
 from capture_sim.hardware.law import WallLaw, Wrench
 from capture_sim.hardware.loop import N_AT_REST, Loop
 from capture_sim.hardware.messages import (
@@ -104,7 +104,7 @@ def test_the_loop_closes_through_dds(lockstep, tmp_path, plate):
     ages = [round(age / STEP) for age in found["ages"]]
     assert min(ages[5:]) >= 2
     walls = ideal_rig(plate, WallLaw(PLATE))._walls
-    limits = Limits(1e3, 1e6, 1e6, 100.0, 1e6, 10.0, depth=1.0)
+    limits = LoopLimits(1e3, 1e6, 1e6, 100.0, 1e6, 10.0, depth=1.0)
     loop = Loop(LoopStage(plate, STEP), limits=limits)
     for _ in range(N_AT_REST):
         loop.receive(loop.t, Wrench())
@@ -139,7 +139,7 @@ def test_a_rig_of_the_real_kind_is_measured_and_held(lockstep, tmp_path):
     assert found["lag"]["servo"] == pytest.approx(0.0032, abs=0.0015)
     # late, the residual would add 30 mJ: the guard leaves a thousandth of energy_limit, which is
     # two steps of the cell's noise, 0.1 N * 0.1 m/s * 1 ms each
-    assert found["energy_excess"] <= 1e-3 * Limits().energy * (1.0 + 1e-6)
+    assert found["energy_excess"] <= 1e-3 * LoopLimits().energy * (1.0 + 1e-6)
     assert found["rig_peak_force"] > 0.0
     assert "not held within 5%" in loop.text  # the first touch had the elastic guess
 

@@ -8,7 +8,7 @@ from capture_sim.messages.convert import Messages, RunDescription
 from capture_sim.messages.telemetry import BenchTelemetry
 from capture_sim.messages.topics import JOINT_STATES, SIMULATOR
 from capture_sim.nodes.simulation.control import SimulationControl, State
-from capture_sim.nodes.simulation.pacing import Pacer
+from capture_sim.nodes.simulation.pacing import RunPacer
 from capture_sim.nodes.simulation.stepping import Stepping
 from capture_sim.nodes.simulation.thrust import ThrustCommands
 
@@ -20,7 +20,7 @@ SHORT = ["run.t_end=0.5"]
 )
 def test_transforms_move_with_every_periodic_sample(changes):
     scene = load_scene("tilt_0", SHORT + changes)
-    control = SimulationControl(State.PLAYING, Pacer(0.0), lambda limit: None)
+    control = SimulationControl(State.PLAYING, RunPacer(0.0), lambda limit: None)
     description = RunDescription.of(scene, "a run", [SIMULATOR])
     telemetry = BenchTelemetry(Messages(), scene, description)
     unused = ThrustCommands(None, (), lambda: None, lambda: 0.0)  # the scene has no thrusters

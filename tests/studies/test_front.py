@@ -10,7 +10,7 @@ from capture_sim.studies.candidates import Candidate, Requirements
 from capture_sim.studies.front import knee, layers, spread_points
 from capture_sim.studies.limit_costs import limit_costs
 from capture_sim.studies.limits import make_limits, make_objectives
-from capture_sim.studies.variables import Variable
+from capture_sim.studies.variables import FreeVariable
 
 
 def test_layers_are_fronts_one_behind_the_other():
@@ -54,7 +54,7 @@ def test_what_is_no_objective_is_rejected_in_a_line(minimize, maximize, message)
         make_objectives(minimize, maximize)
 
 
-VARIABLES = (Variable("x", 0.1, 10.0), Variable("y", 1.0, 2.0))
+VARIABLES = (FreeVariable("x", 0.1, 10.0), FreeVariable("y", 1.0, 2.0))
 
 
 def evaluations(force):

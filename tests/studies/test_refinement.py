@@ -7,8 +7,8 @@ import pytest
 
 from capture_sim.studies.candidates import Candidate
 from capture_sim.studies.limits import make_objectives
-from capture_sim.studies.refinement import Goal, Points, nelder_mead, refine
-from capture_sim.studies.variables import Variable
+from capture_sim.studies.refinement import CandidatePoints, Goal, nelder_mead, refine
+from capture_sim.studies.variables import FreeVariable
 
 FORCE = make_objectives(["max_buffer_force"])
 TRADED = make_objectives(["max_axial_stroke_in", "max_buffer_force"])
@@ -56,13 +56,13 @@ def candidates_of(force):
 
 def test_a_row_is_the_least_force_at_its_stroke():
     """Two basins; force 3 / x in the better one, which is on a kink."""
-    variables = (Variable("x", 0.001, 0.1), Variable("y", 1.0, 100.0))
+    variables = (FreeVariable("x", 0.001, 0.1), FreeVariable("y", 1.0, 100.0))
 
     def force(values):
         x, y = values["x"], values["y"]
         return min(3.0 * math.exp(abs(math.log(y / 8.0))), 3.3 * abs(math.log(y / 70.0)) + 3.2) / x
 
-    points = Points(variables, TRADED)
+    points = CandidatePoints(variables, TRADED)
     rng = np.random.default_rng(1)
     evaluate = candidates_of(force)
     points.add(evaluate([points.values_of(x) for x in rng.random((60, 2)).tolist()]))
@@ -76,14 +76,14 @@ def test_a_row_is_the_least_force_at_its_stroke():
 
 def test_a_catalogue_is_searched_by_its_items_alone():
     items = (1.0, 3.0, 4.0, 9.0, 20.0)
-    variables = (Variable("x", 0.001, 0.1), Variable("y", 1.0, 20.0, choices=items))
+    variables = (FreeVariable("x", 0.001, 0.1), FreeVariable("y", 1.0, 20.0, choices=items))
     tried = []
 
     def force(values):
         tried.append(values["y"])
         return 1.0 + abs(math.log(values["x"] / 0.01)) + abs(values["y"] - 8.0)
 
-    points, evaluate = Points(variables, FORCE), candidates_of(force)
+    points, evaluate = CandidatePoints(variables, FORCE), candidates_of(force)
     points.add(evaluate([points.values_of([0.1, 0.1])]))
     goal = Goal((1.0,), (math.inf,))
     for _ in range(4):  # from one item to the next
@@ -95,7 +95,7 @@ def test_a_catalogue_is_searched_by_its_items_alone():
 
 
 def test_a_budget_that_ends_is_said_and_kept():
-    points = Points((Variable("x", 0.1, 10.0),), FORCE)
+    points = CandidatePoints((FreeVariable("x", 0.1, 10.0),), FORCE)
     evaluate = candidates_of(lambda values: values["x"])
     points.add(evaluate([{"x": 5.0}]))
     left = [30]

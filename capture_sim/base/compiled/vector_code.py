@@ -17,7 +17,7 @@ _FLAGS = ("contract", "nsz")
 _DOUBLE, _INDEX, _LANE = ir.DoubleType(), ir.IntType(64), ir.IntType(32)
 
 
-class Numbers(NamedTuple):
+class NumberArray(NamedTuple):
     """An array of float64 or int64."""
 
     data: Any  # pointer to its first number
@@ -43,13 +43,13 @@ class VectorCode:
         element = self.builder.gep(pointer, [ir.Constant(_INDEX, start)])
         return self.builder.bitcast(element, self.type_of(width).as_pointer())
 
-    def load(self, array: Numbers, start: int, width: int) -> Any:
+    def load(self, array: NumberArray, start: int, width: int) -> Any:
         """Return ``width`` numbers from number ``start`` on."""
         value = self.builder.load(self._place(array.data, start, width))
         value.align = 8
         return value
 
-    def store(self, value: Any, array: Numbers, start: int, width: int) -> None:
+    def store(self, value: Any, array: NumberArray, start: int, width: int) -> None:
         """Write ``width`` numbers from number ``start`` on."""
         self.builder.store(value, self._place(array.data, start, width)).align = 8
 
@@ -115,7 +115,12 @@ class VectorCode:
         return found
 
     def sums(
-        self, rows: Numbers, places: Numbers, count: Any, weights: Sequence[Numbers], n: int
+        self,
+        rows: NumberArray,
+        places: NumberArray,
+        count: Any,
+        weights: Sequence[NumberArray],
+        n: int,
     ) -> list[list[Any]]:
         """Return, for each array of weights, its sum of the rows at ``places``, in blocks.
 
@@ -134,7 +139,7 @@ class VectorCode:
         partial = [[builder.phi(self.type_of(width)) for _, width in blocks] for _ in weights]
         place = builder.load(builder.gep(places.data, [j]))
         row_p = builder.gep(rows_p, [builder.mul(place, rows.row_bytes)])
-        row = Numbers(builder.bitcast(row_p, _DOUBLE.as_pointer()), None)
+        row = NumberArray(builder.bitcast(row_p, _DOUBLE.as_pointer()), None)
         factors = [builder.load(builder.gep(array.data, [j])) for array in weights]
         totals: list[list[Any]] = [[] for _ in weights]
         for k, (start, width) in enumerate(blocks):
@@ -170,8 +175,8 @@ class VectorCode:
 def function_type(generate: Callable[..., Any], results: int) -> Any:
     """Return Numba's type of a function whose code ``generate`` writes.
 
-    ``generate`` takes a :class:`VectorCode` and the arguments: arrays as :class:`Numbers`, numbers
-    as LLVM's values, integers known when compiling as they are, None as None.  It returns a
+    ``generate`` takes a :class:`VectorCode` and the arguments: arrays as :class:`NumberArray`,
+    numbers as LLVM's values, integers known when compiling as they are, None as None.  It returns a
     sequence of ``results`` numbers, None if these are 0.
     """
 
@@ -185,7 +190,7 @@ def function_type(generate: Callable[..., Any], results: int) -> Any:
                     return kind.literal_value
                 if isinstance(kind, types.Array):
                     array = context.make_array(kind)(context, builder, value)
-                    return Numbers(array.data, builder.extract_value(array.strides, 0))
+                    return NumberArray(array.data, builder.extract_value(array.strides, 0))
                 return None if isinstance(kind, types.NoneType) else value
 
             given = map(taken, signature.args, arguments)

@@ -7,7 +7,7 @@ from capture_sim.dynamics.engine.consequences import end_touch, log_event
 from capture_sim.dynamics.engine.extremes import begin_extremes
 from capture_sim.dynamics.engine.rail import close_rail, plan_rail, rail_state
 from capture_sim.dynamics.engine.segment import close_step, plan_step
-from capture_sim.dynamics.engine.state import LOG_ROOM, Segment, Status
+from capture_sim.dynamics.engine.state import LOG_ROOM, Segment, StepStatus
 from capture_sim.dynamics.engine.steps import make_dense
 from capture_sim.dynamics.engine.work import work_inside
 from capture_sim.dynamics.model.equations import N_STATE, N_TOTAL, rate_of_change
@@ -109,10 +109,10 @@ def advance(workspaces, times, samples, trace):
         if progress.done:
             break
         if progress.n_log + _SEGMENT_EVENTS > LOG_ROOM or totals.steps >= last_step:
-            progress.status = Status.INTERRUPTED
+            progress.status = StepStatus.INTERRUPTED
             return k
         if trace.shape[0] > 0 and progress.n_trace == trace.shape[0]:
-            progress.status = Status.INTERRUPTED
+            progress.status = StepStatus.INTERRUPTED
             return k
         if step.segment == Segment.RAIL:
             close_rail(w)
@@ -127,23 +127,23 @@ def advance(workspaces, times, samples, trace):
                 break
             end_run(w)
             if not keeps_energy(w):
-                progress.status = Status.ENERGY_LOST
+                progress.status = StepStatus.ENERGY_LOST
                 return k
             break
         if progress.events_at_t0 > _MAX_EVENTS_AT_T0:
-            progress.status = Status.PILE_UP
+            progress.status = StepStatus.PILE_UP
             observe(step.t0, w.stepper.y, w, w.sample)
             return k
         if w.rail.on:
             plan_rail(w)
         else:
             status = plan_step(w)
-            if status != Status.SERVED:
+            if status != StepStatus.SERVED:
                 step.segment = Segment.NONE
                 progress.status = status
                 observe(step.t0, w.stepper.y, w, w.sample)
                 return k
-    progress.status = Status.SERVED
+    progress.status = StepStatus.SERVED
     return k
 
 

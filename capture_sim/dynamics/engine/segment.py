@@ -14,7 +14,7 @@ from capture_sim.dynamics.engine.events import (
     search_step,
 )
 from capture_sim.dynamics.engine.extremes import watch_extremes, watch_loads
-from capture_sim.dynamics.engine.state import NO_EVENT, SMALLEST_STEP, Segment, Status
+from capture_sim.dynamics.engine.state import NO_EVENT, SMALLEST_STEP, Segment, StepStatus
 from capture_sim.dynamics.engine.step_length import path_to_events, step_length
 from capture_sim.dynamics.engine.steps import (
     advance_distances,
@@ -84,14 +84,14 @@ def step_within_path(w):
     path = path_to_events(w)
     while True:
         status = take_step(w, step_length(w))
-        if status != Status.SERVED:
+        if status != StepStatus.SERVED:
             return status
         # an accelerating tip moves farther than its speed at the start suggests
         moved = 0.5 * (step.start.tip_speed + step.end.tip_speed) * step.h
         if not moved > _MAX_OVERSHOOT * path:
-            return Status.SERVED
+            return StepStatus.SERVED
         if par.fixed_step > 0.0:
-            return Status.STEP_TOO_LONG
+            return StepStatus.STEP_TOO_LONG
         w.totals.rejected += 1
         step.h_next = _RETRY_SHARE * step.h * path / moved
 
@@ -148,10 +148,10 @@ def end_segment(w):
         and not w.system.mode.latched
         and min(step.end.gap[0], step.end.gap[1]) < -_MAX_DEPTH_SHARE * par.R_t
     ):
-        return Status.TIP_THROUGH_WALL
+        return StepStatus.TIP_THROUGH_WALL
     if w.y_end[4] <= par.R_t:
-        return Status.PROBE_IN_HINGE
-    return Status.SERVED
+        return StepStatus.PROBE_IN_HINGE
+    return StepStatus.SERVED
 
 
 @kernel
@@ -166,15 +166,15 @@ def plan_step(w):
     if step.equations_changed:
         step.loads_kept = 0
         if begin_equations(w):
-            return Status.SERVED
+            return StepStatus.SERVED
     else:
         for i in range(N_TOTAL):
             stepper.K[0, i] = stepper.K[stepper.stages, i]
     status = step_within_path(w)
-    if status != Status.SERVED:
+    if status != StepStatus.SERVED:
         return status
     if par.fixed_step > 0.0 and not is_resolved(w):
-        return Status.STEP_TOO_LONG
+        return StepStatus.STEP_TOO_LONG
     search_step(w)
     in_contact = mode.touch[0].on or mode.touch[1].on or mode.stop or mode.latched
     if event.x < _NEAR_END and par.fixed_step == 0.0 and in_contact:
@@ -182,7 +182,7 @@ def plan_step(w):
         if h > SMALLEST_STEP:
             h_next, kind, which = step.h_next, event.kind, event.which
             status = take_step(w, h)
-            if status != Status.SERVED:
+            if status != StepStatus.SERVED:
                 return status
             if step.h == h:
                 step.h_next = h_next

@@ -15,7 +15,7 @@ from capture_sim.dynamics.samples import EXTREME_NAMES, SAMPLE, TOUCH
 from capture_sim.dynamics.solver.runge_kutta import stepper_type
 
 
-class Status(IntEnum):
+class StepStatus(IntEnum):
     """How a call of the loop ended; from NOT_FINITE on the run cannot continue."""
 
     SERVED = 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
-from capture_sim.dynamics.engine.state import N_WATCHED, NO_EVENT, SMALLEST_STEP, Status
+from capture_sim.dynamics.engine.state import N_WATCHED, NO_EVENT, SMALLEST_STEP, StepStatus
 from capture_sim.dynamics.engine.step_length import (
     OVERFLOW,
     contact_share,
@@ -136,7 +136,7 @@ def take_step(w, h):
     while True:
         if h < SMALLEST_STEP:
             if w.progress.t_stop - step.t0 >= SMALLEST_STEP and par.fixed_step == 0.0:
-                return Status.STEP_TOO_SMALL
+                return StepStatus.STEP_TOO_SMALL
             h = SMALLEST_STEP
         error = try_step(w.system, stepper, step.t0, h)
         if par.fixed_step > 0.0:
@@ -144,7 +144,7 @@ def take_step(w, h):
             for i in range(N_STATE):
                 total += stepper.y_new[i]
             if not math.isfinite(total):
-                return Status.NOT_FINITE
+                return StepStatus.NOT_FINITE
             break
         error *= contact_share(w)
         factor = next_factor(error, step.error, stepper.order)
@@ -156,7 +156,7 @@ def take_step(w, h):
         if not error < OVERFLOW:
             for i in range(N_STATE):
                 if not (math.isfinite(stepper.K[0, i]) and math.isfinite(stepper.y[i])):
-                    return Status.NOT_FINITE
+                    return StepStatus.NOT_FINITE
             # NaN times a zero weight is NaN: no stage may keep one
             for j in range(1, stepper.total_stages):
                 for i in range(N_TOTAL):
@@ -170,5 +170,5 @@ def take_step(w, h):
         for i in range(6):
             step.hold[i] = w.system.out.hold[i]
     if totals.steps + totals.rejected > par.max_steps:
-        return Status.TOO_MANY_STEPS
-    return Status.SERVED
+        return StepStatus.TOO_MANY_STEPS
+    return StepStatus.SERVED

@@ -22,7 +22,7 @@ class Level(IntEnum):
     ERROR = 2
 
 
-class Status(NamedTuple):
+class DiagnosticStatus(NamedTuple):
     """The state of one part of a node."""
 
     name: str
@@ -42,7 +42,7 @@ class Diagnostics:
         )
         self._publisher = node.create_publisher(self._array, "diagnostics", 10)
 
-    def publish(self, *statuses: Status) -> None:
+    def publish(self, *statuses: DiagnosticStatus) -> None:
         """Publish these statuses."""
         message = self._array(
             status=[

@@ -13,7 +13,7 @@ import numpy as np
 
 from capture_sim.detection.clocks import MAX_OFFSET
 from capture_sim.messages.topics import Topic
-from capture_sim.nodes.base.diagnostics import PERIOD, Diagnostics, Level, Status
+from capture_sim.nodes.base.diagnostics import PERIOD, Diagnostics, DiagnosticStatus, Level
 from capture_sim.nodes.base.endpoints import full_name
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.trial.interlocks import SourceMonitor, TrialLimits
@@ -52,7 +52,9 @@ class SourceDiagnostics:
     ``further``: returns other statuses of the node, which are published with these.
     """
 
-    def __init__(self, node: BenchNode, further: Callable[[], list[Status]] = list) -> None:
+    def __init__(
+        self, node: BenchNode, further: Callable[[], list[DiagnosticStatus]] = list
+    ) -> None:
         self._node, self._further = node, further
         self._sources: dict[Topic, _Source] = {}
         self._groups: list[tuple[Topic, ...]] = []
@@ -104,7 +106,9 @@ class SourceDiagnostics:
         self._since = now
         self._diagnostics.publish(*statuses, *self._further())
 
-    def _status_of(self, topic: Topic, now: float, offsets: Mapping[Topic, float]) -> Status:
+    def _status_of(
+        self, topic: Topic, now: float, offsets: Mapping[Topic, float]
+    ) -> DiagnosticStatus:
         name = self._node.resolve_topic_name(topic.name)
         publishers = self._node.get_publishers_info_by_topic(name)
         age = self._sources[topic].monitor.age(now)
@@ -133,4 +137,4 @@ class SourceDiagnostics:
             level, text = Level.WARN, f"clock {offsets[topic]:+.3f} s from the other sources'"
         elif lag > MAX_LAG:
             level, text = Level.WARN, f"read {lag:.1f} s late: this node, or the driver, is busy"
-        return Status(name, level, text, values)
+        return DiagnosticStatus(name, level, text, values)

@@ -22,7 +22,7 @@ from capture_sim.messages.topics import (
 )
 from capture_sim.nodes.base.endpoints import DISCOVERY_TIME, full_name
 from capture_sim.nodes.base.node import BenchNode
-from capture_sim.nodes.protocol.roll import Part, Roll, RunReport, has_streams, node_of, run_key
+from capture_sim.nodes.protocol.roll import Roll, RollPart, RunReport, has_streams, node_of, run_key
 
 #: After a run the participants get this long to close their files, s (wall).
 END_TIMEOUT = 60.0
@@ -44,7 +44,7 @@ class TrialOnError(CaptureSimError):
 class Participants:
     """Who takes part in a run, besides the node that announces it: roles, and ids, see Roll."""
 
-    def __init__(self, parts: Sequence[Part]) -> None:
+    def __init__(self, parts: Sequence[RollPart]) -> None:
         self.participants = tuple(sorted(part.id for part in parts))
         self.roles = tuple(sorted({part.role for part in parts}))
         #: Roles that have streams of their own: their counts end the run too.
@@ -73,12 +73,12 @@ class Announcement:
         """Return which participants have yet to leave the run."""
         return self._pending("to end the run", lambda part: part.is_done(self.key))
 
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[RollPart]:
         """Return the participants that have been heard."""
         ids = self.run.participants
         return [self._roll.parts[id_] for id_ in ids if id_ in self._roll.parts]
 
-    def present(self) -> list[Part]:
+    def present(self) -> list[RollPart]:
         """Return the participants that are there and have not left the run."""
         return [
             part
@@ -104,7 +104,7 @@ class Announcement:
         """Announce that no run is on; its description stays for later subscribers."""
         self._send(replace(self.run, run_id=""))
 
-    def _pending(self, for_what: str, has: Callable[[Part], bool]) -> str:
+    def _pending(self, for_what: str, has: Callable[[RollPart], bool]) -> str:
         dropped = self._node.topic_publishers.dropped
         participants = [id_ for id_ in self.run.participants if node_of(id_) not in dropped]
         return _listed(for_what, self._roll.pending(participants, has))
@@ -150,7 +150,7 @@ class Announcer:
         self._check_trials()
         self.await_none(name, self._missing, limit)
 
-    def participants(self, chosen: Callable[[Part], bool] = lambda part: True) -> Participants:
+    def participants(self, chosen: Callable[[RollPart], bool] = lambda part: True) -> Participants:
         """Return who is there to take part; CaptureSimError during a trial of a real bench."""
         self._check_trials()
         self._is_on = True
@@ -217,7 +217,7 @@ class Announcer:
                     raise CaptureSimError(f"{text}: timed out after {limit:g} s")
                 self._node.get_logger().info(f"{name}: {text}")
 
-    def check_part(self, part: Part) -> None:
+    def check_part(self, part: RollPart) -> None:
         """Raise CaptureSimError if a run is on and a node is found in a trial of a real bench."""
         if self._is_on and part.is_in_trial:
             raise _beside([part.node])

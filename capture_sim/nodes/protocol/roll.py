@@ -50,7 +50,7 @@ class RunReport:
 
 
 @dataclass(frozen=True)
-class Part:
+class RollPart:
     """A node's part as it has reported it, see msg/Roll.msg."""
 
     id: str
@@ -124,7 +124,7 @@ class Roll:
         node: BenchNode,
         role: str,
         sources: Collection[RunSource] = (),
-        on_part: Callable[[Part], None] = lambda part: None,
+        on_part: Callable[[RollPart], None] = lambda part: None,
         *,
         is_listed: bool = True,
     ) -> None:
@@ -132,7 +132,7 @@ class Roll:
             f"{time.time_ns():016x}"  # in front: the older of two nodes has the smaller number
         )
         self.id = f"{node.get_fully_qualified_name()}#{started}{uuid.uuid4().hex[:8]}"
-        self.parts: dict[str, Part] = {}
+        self.parts: dict[str, RollPart] = {}
         self.ignored: set[str] = set()  # announcers whose runs are ignored
         self._node = node
         self._role = role
@@ -200,7 +200,7 @@ class Roll:
                 )
 
     def pending(
-        self, participants: Sequence[str], has: Callable[[Part], bool] = lambda part: True
+        self, participants: Sequence[str], has: Callable[[RollPart], bool] = lambda part: True
     ) -> list[str]:
         """Return the nodes that have not been heard, or whose part ``has`` is not true of.
 
@@ -215,7 +215,7 @@ class Roll:
             and id_ != self.id
         ]
 
-    def free(self, source: RunSource) -> list[Part]:
+    def free(self, source: RunSource) -> list[RollPart]:
         """Return the parts of nodes that are there, in no run, and take part in such runs."""
         return [
             part
@@ -223,7 +223,7 @@ class Roll:
             if part.state != READY and str(source) in part.sources and self.is_there(part.id)
         ]
 
-    def busy(self, source: RunSource) -> list[Part]:
+    def busy(self, source: RunSource) -> list[RollPart]:
         """Return the parts of nodes that take part in such runs, but are in another run now."""
         return [
             part
@@ -300,7 +300,7 @@ class Roll:
     def _hear(self, message: Any) -> None:
         if message.participant == self.id:
             return
-        part = Part(
+        part = RollPart(
             message.participant,
             message.role,
             tuple(message.sources),

@@ -15,7 +15,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from capture_sim.nodes.protocol.ends import CutKind
-from capture_sim.nodes.simulation.pacing import Pacer
+from capture_sim.nodes.simulation.pacing import RunPacer
 
 #: Callbacks get their turn this often while time goes on.  Waits below this are slept through: the
 #: executor's own would be later by 0.1 ms, s (wall).
@@ -75,7 +75,7 @@ class SimulationControl:
     def __init__(
         self,
         state: State,
-        pacer: Pacer,
+        pacer: RunPacer,
         wait: Callable[[float], object],
     ) -> None:
         self.pacer = pacer

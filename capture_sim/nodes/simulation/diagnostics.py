@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from capture_sim.nodes.base.diagnostics import PERIOD, Diagnostics, Level, Status
+from capture_sim.nodes.base.diagnostics import PERIOD, Diagnostics, DiagnosticStatus, Level
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.simulation.control import SimulationControl, State
 from capture_sim.nodes.simulation.stepping import Stepping
@@ -52,7 +52,7 @@ class SimulatorDiagnostics:
         if self._run is not None:
             level, text, figures = self._figures(self._run, whole=whole)
             values |= figures
-        self._diagnostics.publish(Status("stepping", level, text, values))
+        self._diagnostics.publish(DiagnosticStatus("stepping", level, text, values))
 
     def _figures(self, stepping: Stepping, *, whole: bool) -> tuple[Level, str, dict[str, str]]:
         scene, pacer = stepping.bench.scene, self._control.pacer

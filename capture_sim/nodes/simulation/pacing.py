@@ -25,7 +25,7 @@ class Lateness(NamedTuple):
     max: float
 
 
-class Pacer:
+class RunPacer:
     """Computes when ticks are due, from one origin, and keeps how late they came.
 
     ``factor``: simulated seconds per second, 0 for no pacing; ``clock``: a steady one, s.  The

@@ -26,7 +26,7 @@ from capture_sim.messages.topics import (
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.protocol.announcer import Announcer, TrialOnError
 from capture_sim.nodes.protocol.ends import INTERRUPTED, CutKind
-from capture_sim.nodes.protocol.roll import Part, Roll, number_of
+from capture_sim.nodes.protocol.roll import Roll, RollPart, number_of
 from capture_sim.nodes.simulation.control import RunCut, SimulationControl
 from capture_sim.nodes.simulation.diagnostics import SimulatorDiagnostics
 from capture_sim.nodes.simulation.robot_model import RobotModel
@@ -204,7 +204,7 @@ class SimulatedRuns:
             self._announcer.close()
         return ""
 
-    def _check_part(self, part: Part) -> None:
+    def _check_part(self, part: RollPart) -> None:
         """Raise CaptureSimError beside a trial, or an older simulator or player.
 
         With two of them no stream is complete.

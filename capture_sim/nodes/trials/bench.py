@@ -23,7 +23,7 @@ from capture_sim.messages.convert import stamp_in
 from capture_sim.messages.definitions import typestore
 from capture_sim.messages.measurements import STAMP, TOPICS_OF_SOURCE, MeasurementReader
 from capture_sim.messages.topics import CAPTURE_VERDICT, HOLD, LOAD_CELL, Topic
-from capture_sim.nodes.base.diagnostics import PERIOD, Diagnostics, Level, Status
+from capture_sim.nodes.base.diagnostics import PERIOD, Diagnostics, DiagnosticStatus, Level
 from capture_sim.nodes.base.endpoints import (
     TRANSIENT_LOCAL,
     full_name,
@@ -217,7 +217,9 @@ class TrialBench:
         elif refusal := self.interlocks.refusal(now):
             level, text = Level.WARN, refusal
         waived = ", ".join(sorted(self.interlocks.waived)) or "none"
-        self._diagnostics.publish(Status("release", level, text, {"waived rules": waived}))
+        self._diagnostics.publish(
+            DiagnosticStatus("release", level, text, {"waived rules": waived})
+        )
 
     def _is_late(self, now: float) -> bool:
         return now > self._last_tick + TICK + MAX_LATENESS

@@ -33,8 +33,8 @@ from capture_sim.studies.calibration.checks import (
 )
 from capture_sim.studies.calibration.descent import (
     RESTARTS,
+    EndedSearch,
     Found,
-    Search,
     descend,
     grow,
     renoised,
@@ -58,7 +58,13 @@ from capture_sim.studies.calibration.prediction import (
     predict,
     read_placement,
 )
-from capture_sim.studies.calibration.trial import OWN_SIZE, Trial, launched, resolved, trial_of
+from capture_sim.studies.calibration.trial import (
+    OWN_SIZE,
+    FittedTrial,
+    launched,
+    resolved,
+    trial_of,
+)
 
 #: Names of a trial's start.
 STARTS = tuple(f"initial.{v}.{name}" for v in ("chaser", "target") for name in ("x", "y", "theta"))
@@ -325,7 +331,7 @@ class _Progress:
 
 
 def fit_trials(
-    trials: Sequence[Trial],
+    trials: Sequence[FittedTrial],
     parameters: Sequence[Parameter],
     *,
     restarts: int = RESTARTS,
@@ -404,17 +410,19 @@ class _Fitting:
             self.found = restart(self.problem, search, rng, restarts)
         self._keep(self.found.best.linear)
 
-    def _grown(self, problem: Problem, begin: np.ndarray, rng: np.random.Generator) -> Search:
+    def _grown(self, problem: Problem, begin: np.ndarray, rng: np.random.Generator) -> EndedSearch:
         place, covariance = grow(problem, begin, rng, self._keep_early)
         return self._search(problem, place, covariance)
 
-    def _renoised(self, search: Search) -> Search:
+    def _renoised(self, search: EndedSearch) -> EndedSearch:
         """Search again with the noise of the residuals."""
         problem = renoised(self.problem, sigma_of(self.problem, search.linear))
         at = search.linear
         return self._search(problem, at.place, step_covariance(at, problem))
 
-    def _search(self, problem: Problem, place: np.ndarray, covariance: np.ndarray | None) -> Search:
+    def _search(
+        self, problem: Problem, place: np.ndarray, covariance: np.ndarray | None
+    ) -> EndedSearch:
         self.problem = problem
         search = descend(problem, place, problem.weighed(), covariance, keep=self._keep)
         if search is None:
@@ -438,7 +446,7 @@ class _Fitting:
             "unfinished: interrupted before the search and its tests had ended",
             "start it again",
         )
-        return _result(problem, Found(Search(at, 0)), [finding])
+        return _result(problem, Found(EndedSearch(at, 0)), [finding])
 
 
 def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:

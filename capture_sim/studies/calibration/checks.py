@@ -17,7 +17,7 @@ import numpy as np
 from capture_sim.studies.calibration.descent import Found
 from capture_sim.studies.calibration.joint import UNDETERMINED, Linear, Problem
 from capture_sim.studies.calibration.parameters import Parameter
-from capture_sim.studies.calibration.trial import OWN_SIZE, Trial
+from capture_sim.studies.calibration.trial import OWN_SIZE, FittedTrial
 
 #: Duration of the means of residuals, s.
 BLOCK = 0.03
@@ -159,7 +159,7 @@ def block_means(at: Linear, problem: Problem) -> list[BlockMean]:
     return found
 
 
-def _phases(trial: Trial, t: np.ndarray, release: float) -> np.ndarray:
+def _phases(trial: FittedTrial, t: np.ndarray, release: float) -> np.ndarray:
     """Return the number of the phase at each time, (n,)."""
     ends = [release, trial.contact + _APPROACH_END, trial.contact + _CONTACT_END]
     return np.searchsorted(np.maximum.accumulate(ends), t, side="right")

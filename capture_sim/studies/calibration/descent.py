@@ -19,7 +19,7 @@ from capture_sim.dynamics.bench import Bench
 from capture_sim.errors import SimulationError
 from capture_sim.run.series import PARTS
 from capture_sim.studies.calibration.joint import Linear, Prior, Problem, inverse
-from capture_sim.studies.calibration.trial import OWN, OWN_SIZE, Trial
+from capture_sim.studies.calibration.trial import OWN, OWN_SIZE, FittedTrial
 
 #: Ends of the horizon, s after the first contact.
 HORIZON = (-0.8, -0.25, -0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 0.9)
@@ -50,7 +50,7 @@ _RELEASE_RANGE, _RELEASE_STEP = 3.0, 0.01
 
 
 @dataclass
-class Search:
+class EndedSearch:
     """A search that has ended."""
 
     linear: Linear
@@ -66,7 +66,7 @@ class Search:
 class Found:
     """The best of a fit's searches, and where the others ended."""
 
-    best: Search
+    best: EndedSearch
     #: chi2 above the best one, and distance from it in standard errors, of each restart.
     restarts: list[tuple[float, float]] = field(default_factory=list)
 
@@ -80,7 +80,7 @@ def descend(
     enough: float = _ENOUGH,
     most: int = _STEPS,
     keep: Callable[[Linear], None] = lambda at: None,
-) -> Search | None:
+) -> EndedSearch | None:
     """Search for the least chi2 from a place; None if no trial works there."""
     known = problem.chi2(place, prior)
     if not known[1]:
@@ -91,7 +91,7 @@ def descend(
     low, high = problem.limits
     for step in range(most):
         if at.decrease < enough:
-            return Search(at, step)
+            return EndedSearch(at, step)
         while damping < _STIFFEST:
             diagonal = np.maximum(np.diag(at.hessian), 1e-12)
             damped = at.hessian + damping * np.diag(diagonal)
@@ -107,14 +107,14 @@ def descend(
                 break
             damping *= _HARDER
         else:
-            return Search(at, step)
+            return EndedSearch(at, step)
         damping = max(damping * _EASIER, 1e-7)
         gained = at.chi2 - known[0]
         at = problem.linear(there, prior, step_covariance(at, problem), known)
         keep(at)
         if gained < 0.02 * enough and step > 2:
-            return Search(at, step + 1)
-    return Search(at, most)
+            return EndedSearch(at, step + 1)
+    return EndedSearch(at, most)
 
 
 def step_covariance(at: Linear, problem: Problem) -> np.ndarray:
@@ -151,7 +151,7 @@ def first_place(problem: Problem, begin: np.ndarray) -> np.ndarray:
     return place
 
 
-def _release(trial: Trial) -> float:
+def _release(trial: FittedTrial) -> float:
     """Return when the chaser was let go, s after the release that is assumed.
 
     It is the shift by which the simulated path meets the measured one best.
@@ -181,7 +181,7 @@ def _release(trial: Trial) -> float:
     return float(shifts[int(np.argmin(costs))])
 
 
-def _start(trial: Trial, release: float) -> np.ndarray:
+def _start(trial: FittedTrial, release: float) -> np.ndarray:
     """Return the start of a trial, (6,) in units of OWN_SIZE, by the samples before the release."""
     initial = trial.scene.initial
     shifts = []
@@ -294,13 +294,13 @@ def _stage_fit(
     return best
 
 
-def _is_enough(trial: Trial, end: float) -> bool:
+def _is_enough(trial: FittedTrial, end: float) -> bool:
     return sum(int((channel.t <= end).sum()) for channel in trial.channels) > 30
 
 
 def restart(
     problem: Problem,
-    found: Search,
+    found: EndedSearch,
     rng: np.random.Generator,
     count: int = RESTARTS,
     report: Callable[[str], None] = lambda stage: None,
@@ -308,7 +308,7 @@ def restart(
     """Search again from draws about the best place until none finds a better one."""
     prior = problem.weighed()
     best = found
-    ends: list[Search] = []
+    ends: list[EndedSearch] = []
     since_best, tried = 0, 0
     while since_best < count and tried < (_MOST_RESTARTS if count else 0):
         tried += 1
@@ -332,7 +332,7 @@ def restart(
     return Found(best, [_apart(best, end, problem.shared) for end in ends if end is not best])
 
 
-def _apart(best: Search, other: Search, shared: int) -> tuple[float, float]:
+def _apart(best: EndedSearch, other: EndedSearch, shared: int) -> tuple[float, float]:
     """Return by how much chi2 is higher, and how far off the shared parameters are."""
     off = (other.linear.place - best.linear.place)[:shared]
     information = inverse(best.linear.covariance[:shared, :shared])

@@ -20,8 +20,8 @@ from capture_sim.studies.calibration.trial import (
     OWN,
     OWN_SIZE,
     RELATIVE,
-    Motion,
-    Trial,
+    FittedTrial,
+    SimulatedMotion,
     View,
     exact_columns,
     residuals,
@@ -61,7 +61,7 @@ class Prior:
 class Shown:
     """One trial at a place: simulated, seen and compared."""
 
-    motion: Motion
+    motion: SimulatedMotion
     view: View
     residuals: np.ndarray  # (n,)
 
@@ -106,7 +106,7 @@ def inverse(hessian: np.ndarray) -> np.ndarray:
 class Problem:
     """The joint fit of some trials."""
 
-    trials: Sequence[Trial]
+    trials: Sequence[FittedTrial]
     parameters: Sequence[Parameter]
     simulations: int = 0
     #: Called after each simulation.

@@ -53,7 +53,7 @@ def read_placement(text: str) -> Placement:
 
 
 @dataclass(frozen=True)
-class Figure:
+class PredictedLoad:
     """A predicted load, SI."""
 
     name: str
@@ -70,7 +70,7 @@ class Prediction:
 
     scene: Scene
     placement: Placement | None
-    figures: tuple[Figure, ...]
+    figures: tuple[PredictedLoad, ...]
     failed: int  # draws that could not be simulated
     t: np.ndarray  # (n,), s since the release
     series: Mapping[str, np.ndarray]  # (3, n) each: low, at the calibrated values, high
@@ -151,7 +151,7 @@ def predict(
     for k, name in enumerate(FIGURES):
         low, high = np.quantile(full[:, k], [LOW, HIGH])
         error, wide = float(alone[:, k].std(ddof=1)), float(full[:, k].std(ddof=1))
-        found.append(Figure(name, float(central[k]), error, float(low), float(high), wide))
+        found.append(PredictedLoad(name, float(central[k]), error, float(low), float(high), wide))
     n = min(len(t), *(course.shape[1] for course in courses))
     stack = np.stack([course[:, :n] for course in courses])
     low, high = np.quantile(stack, [LOW, HIGH], axis=0)

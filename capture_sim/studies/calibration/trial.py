@@ -46,7 +46,7 @@ _SHOWS, _SHOWS_NOISE = 0.03, 8.0
 MISSING = 1e3
 
 
-class Channel(NamedTuple):
+class MeasuredChannel(NamedTuple):
     """Measured values of one quantity."""
 
     name: str
@@ -55,7 +55,7 @@ class Channel(NamedTuple):
     sigma: np.ndarray  # (m,), standard deviations
 
 
-class Motion(NamedTuple):
+class SimulatedMotion(NamedTuple):
     """What the sensors would show of a simulated trial, in the scene's own place."""
 
     values: tuple[np.ndarray, ...]  # (n, m) of each channel
@@ -64,12 +64,12 @@ class Motion(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Trial:
+class FittedTrial:
     """A trial as it is fitted."""
 
     name: str
     scene: Scene  # with the launch as commanded
-    channels: tuple[Channel, ...]
+    channels: tuple[MeasuredChannel, ...]
     contact: float  # first contact as measured, s; infinite without one
     end: float  # s, of what is used
     cut: float  # s, of the first hold after the release; infinite without one
@@ -86,7 +86,7 @@ class Trial:
         """Number of residuals of touches."""
         return 0 if self.touches is None else 2 * self.touches.start.size
 
-    def until(self, t: float) -> Trial:
+    def until(self, t: float) -> FittedTrial:
         """Return the trial up to a time, s; touches count only if all of it is used."""
         if t >= self.end:
             return self
@@ -96,7 +96,7 @@ class Trial:
         )
         return dataclasses.replace(self, channels=kept, touches=None)
 
-    def with_noise(self, sigma: Mapping[str, np.ndarray]) -> Trial:
+    def with_noise(self, sigma: Mapping[str, np.ndarray]) -> FittedTrial:
         """Return the trial with other standard deviations by channel."""
         channels = tuple(c._replace(sigma=sigma.get(c.name, c.sigma)) for c in self.channels)
         return dataclasses.replace(self, channels=channels)
@@ -109,7 +109,7 @@ def trial_of(
     noise: Mapping[str, np.ndarray] | None = None,
     until: float = math.inf,
     is_release_fitted: bool = True,
-) -> Trial:
+) -> FittedTrial:
     """Return a run as a trial that can be fitted.
 
     Parameters
@@ -147,7 +147,7 @@ def trial_of(
             given = (noise or {}).get(quantity)
             sigma = np.asarray(scatter(series) if given is None else given, dtype=float)
             sigma = np.maximum(sigma, [part.noise for part in parts])
-            channels.append(Channel(quantity, series.t, values, sigma))
+            channels.append(MeasuredChannel(quantity, series.t, values, sigma))
     for vehicle in POSES:
         if vehicle not in [channel.name for channel in channels]:
             raise RecordingError(
@@ -160,7 +160,7 @@ def trial_of(
         touches = touches.of(touches.start <= end)
         touches = touches if touches.start.size else None
     last = max(float(channel.t[-1]) for channel in channels)
-    return Trial(
+    return FittedTrial(
         name=name,
         scene=scene,
         channels=tuple(channels),
@@ -237,7 +237,7 @@ def scatter(series: Series) -> np.ndarray:
     return np.asarray(np.median(rough, axis=0) / 0.6745 / math.sqrt(20.0))
 
 
-def _contact(channels: list[Channel]) -> float:
+def _contact(channels: list[MeasuredChannel]) -> float:
     """Return when stroke or torsion first show a contact, s; infinite if they never do."""
     first = math.inf
     for channel in channels:
@@ -256,11 +256,11 @@ _memory = Memory()
 
 
 def simulate(
-    trial: Trial,
+    trial: FittedTrial,
     values: Mapping[str, float],
     own: np.ndarray,
     sensors: Mapping[str, float],
-) -> Motion | None:
+) -> SimulatedMotion | None:
     """Return the simulated trial; None if the bench does not work there.
 
     Parameters
@@ -311,7 +311,7 @@ def simulate(
         rates_of_channels.append(rate * moving)
     touches = bench.touches
     touches = touches[np.argsort(touches["start"], kind="stable")]
-    return Motion(tuple(of_channels), tuple(rates_of_channels), touches)
+    return SimulatedMotion(tuple(of_channels), tuple(rates_of_channels), touches)
 
 
 def _seen(name: str, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -342,7 +342,9 @@ class View(NamedTuple):
     turning: tuple[np.ndarray, ...]  # (n, m), derivative by a common rotation
 
 
-def view(trial: Trial, motion: Motion, own: np.ndarray, sensors: Mapping[str, float]) -> View:
+def view(
+    trial: FittedTrial, motion: SimulatedMotion, own: np.ndarray, sensors: Mapping[str, float]
+) -> View:
     """Return what the sensors show, with the common place of the trial and errors of sensors."""
     *_, x, y, theta, _ = (own * OWN_SIZE).tolist()
     chaser = trial.scene.initial.chaser
@@ -374,7 +376,9 @@ def view(trial: Trial, motion: Motion, own: np.ndarray, sensors: Mapping[str, fl
     return View(tuple(moved), tuple(rates), tuple(turning))
 
 
-def residuals(trial: Trial, motion: Motion, seen: View, release: float) -> np.ndarray:
+def residuals(
+    trial: FittedTrial, motion: SimulatedMotion, seen: View, release: float
+) -> np.ndarray:
     """Return measured less simulated, (n,), in units of noise; ``release`` in s."""
     parts = [
         ((channel.values - values) / channel.sigma).ravel()
@@ -383,7 +387,7 @@ def residuals(trial: Trial, motion: Motion, seen: View, release: float) -> np.nd
     return np.concatenate([*parts, _touch_residuals(trial, motion, release)])
 
 
-def _touch_residuals(trial: Trial, motion: Motion, release: float) -> np.ndarray:
+def _touch_residuals(trial: FittedTrial, motion: SimulatedMotion, release: float) -> np.ndarray:
     touches = trial.touches
     if touches is None:
         return np.zeros(0)
@@ -400,7 +404,7 @@ def _touch_residuals(trial: Trial, motion: Motion, release: float) -> np.ndarray
     return np.concatenate([late, strength])
 
 
-def exact_columns(trial: Trial, seen: View) -> np.ndarray:
+def exact_columns(trial: FittedTrial, seen: View) -> np.ndarray:
     """Return the derivatives of the residuals by x, y, theta and release, (n, 4).
 
     They need no simulation.
@@ -425,7 +429,7 @@ def exact_columns(trial: Trial, seen: View) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def sensor_column(trial: Trial, motion: Motion, seen: View, name: str) -> np.ndarray:
+def sensor_column(trial: FittedTrial, motion: SimulatedMotion, seen: View, name: str) -> np.ndarray:
     """Return the derivative of the residuals by an error of a sensor, SI, (n,)."""
     error = SENSOR_ERRORS[name]
     parts = []
