@@ -6,6 +6,7 @@ matplotlib and rerun.
 
 from __future__ import annotations
 
+import gc
 import json
 import multiprocessing
 import os
@@ -179,8 +180,7 @@ def draw(
     with ProcessPoolExecutor(
         min(len(jobs), os.cpu_count() or 1),
         mp_context=fork,
-        initializer=signal.signal,  # Ctrl-C ends the command, not a file half drawn
-        initargs=(signal.SIGINT, signal.SIG_IGN),
+        initializer=_begin_drawing,
     ) as pool:
         # the file for rerun first, as it takes longest to begin
         drawn = [pool.submit(job.draw, *job.arguments) for job in reversed(jobs)][::-1]
@@ -188,6 +188,16 @@ def draw(
             # a system's ROS has no rerun: the recording matters there
             with drawing("no rerun file: {error}; install it and run capture-sim view"):
                 echo(f"{job.title} {file.result()}")
+
+
+def _begin_drawing() -> None:
+    """Prepare a process that draws.
+
+    Ctrl-C ends the command, not a file half drawn.  What the process has inherited is never
+    collected in it: a destructor of a DDS object needs threads that a fork does not have.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.freeze()
 
 
 class _Job(NamedTuple):
