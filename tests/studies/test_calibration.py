@@ -18,9 +18,10 @@ from capture_sim.scene.loading import load_scene, load_scene_text
 from capture_sim.scene.paths import changed, get
 from capture_sim.studies.calibration.calibrate import calibrate
 from capture_sim.studies.calibration.candidates import possible
-from capture_sim.studies.calibration.checks import direction_words
+from capture_sim.studies.calibration.checks import convergence, direction_words
+from capture_sim.studies.calibration.descent import EndedSearch, Found
 from capture_sim.studies.calibration.files import as_data
-from capture_sim.studies.calibration.joint import Problem
+from capture_sim.studies.calibration.joint import Linear, Problem, inverse
 from capture_sim.studies.calibration.parameters import Weighed, parameters_of, read_weighed
 from capture_sim.studies.calibration.prediction import read_placement
 from capture_sim.studies.calibration.trial import (
@@ -49,6 +50,7 @@ def two_trials(first=0, true=TRUE, **more):
 def test_two_trials_give_their_parameters_back():
     found = calibrate(two_trials(shift=(1e-3, 8e-4, 4e-3)), NAMES)
     assert found.is_found, found.findings
+    assert len(found.restarts) == 4  # each was simulated, and came back
     assert np.abs((found.values - VALUES) / found.errors).max() < 4.0
     assert (found.errors / VALUES < (0.03, 0.03, 0.003)).all()
     for start in found.starts:  # the starts that no scene has
@@ -105,6 +107,26 @@ def test_what_the_model_lacks_is_named_with_its_size(name, more, true):
     assert not found.is_found
     assert name in named
     assert abs(named[name].estimate - true) < max(5.0 * named[name].error, 0.02 * true)
+
+
+def test_a_fit_whose_restarts_cannot_be_simulated_is_not_found():
+    """Else a fit would be called found that nothing has tried to better."""
+    problem = Problem([trial_of(run) for run in two_trials()], parameters_of(short_scene(), NAMES))
+    place = np.zeros(problem.dimension)
+    flat = np.zeros((problem.dimension, problem.dimension))
+    at = Linear(place, 1.0, [], [], flat, place, np.zeros(problem.dimension, bool))
+    for made, said in ((0, "only 0 of 4"), (1, "only 1 of 4"), (4, "")):
+        found = Found(EndedSearch(at, 0), [(0.1, 0.1)] * made, asked=4)
+        assert convergence(found)[0].startswith(said)
+    assert convergence(Found(EndedSearch(at, 0)))[0] == ""
+
+
+def test_numbers_without_information_take_no_variance():
+    """A release that is known: rounding errors over its zero would be a variance of 1e136."""
+    hessian = np.array([[4.0, 1.0, 1e-17], [1.0, 2.0, 0.0], [1e-17, 0.0, 0.0]])
+    covariance = inverse(hessian)
+    assert covariance[:2, :2] == pytest.approx(np.linalg.inv(hessian[:2, :2]))
+    assert not covariance[2].any()
 
 
 def test_differences_are_one_standard_error_long():

@@ -230,6 +230,8 @@ def convergence(found: Found) -> tuple[str, int]:
             f"restarts fit as well {max(other):.2g} standard errors away",
             agreeing,
         )
+    if len(found.restarts) < min(found.asked, AGREEING):
+        return f"only {len(found.restarts)} of {found.asked} restarts could be simulated", agreeing
     if len(found.restarts) >= AGREEING and agreeing < AGREEING:
         return (
             f"only {agreeing} of {len(found.restarts)} restarts came back to the same place",

@@ -40,6 +40,9 @@ _DAMPING, _EASIER, _HARDER, _STIFFEST = 1e-3, 0.1, 8.0, 1e4
 _LONGEST_STEP = 0.7
 #: Restarts begin so many standard errors from the best place.
 _AWAY = 1.5
+#: A draw at which a trial does not work, or is another motion, as where the tip starts in a wall,
+#: is taken nearer by these shares.  It is another motion if chi2 is higher by so much a parameter.
+_NEARER, _USABLE = (1.0, 0.5, 0.25, 0.125), 1000.0
 #: Restarts that a fit makes at least, and at most if one of them finds a better place.
 RESTARTS, _MOST_RESTARTS = 4, 10
 #: A restart that ends lower than this is a better place; kinks leave a roughness of a few units.
@@ -69,6 +72,7 @@ class Found:
     best: EndedSearch
     #: chi2 above the best one, and distance from it in standard errors, of each restart.
     restarts: list[tuple[float, float]] = field(default_factory=list)
+    asked: int = 0  # restarts that must find no better place
 
 
 def descend(
@@ -318,7 +322,13 @@ def restart(
         values, vectors = np.linalg.eigh(covariance)
         draw = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(values.size))
         low, high = problem.limits
-        start = np.clip(at.place + _AWAY * draw, low, high)
+        for share in _NEARER:
+            start = np.clip(at.place + share * _AWAY * draw, low, high)
+            chi2, shown = problem.chi2(start, prior)
+            if shown and chi2 < at.chi2 + _USABLE * problem.dimension:
+                break
+        else:
+            continue
         again = descend(problem, start, prior, covariance)
         if again is None:
             continue
@@ -329,7 +339,8 @@ def restart(
                 since_best = 0
             best = again
     ends = [found, *ends]
-    return Found(best, [_apart(best, end, problem.shared) for end in ends if end is not best])
+    apart = [_apart(best, end, problem.shared) for end in ends if end is not best]
+    return Found(best, apart, asked=count)
 
 
 def _apart(best: EndedSearch, other: EndedSearch, shared: int) -> tuple[float, float]:

@@ -93,13 +93,18 @@ class Linear:
 
 def inverse(hessian: np.ndarray) -> np.ndarray:
     """Return the inverse of an information matrix, without directions that are not determined."""
-    if not hessian.size:
-        return hessian.copy()
-    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
+    covariance = np.zeros_like(hessian)
+    # a number without any information, as a release that is known, would take rounding errors
+    known = np.flatnonzero(np.diag(hessian) > 0.0)
+    if not known.size:
+        return covariance
+    block = np.ix_(known, known)
+    scale = np.sqrt(np.diag(hessian)[known])
+    values, vectors = np.linalg.eigh(hessian[block] / np.outer(scale, scale))
     with np.errstate(divide="ignore"):
         inverted = np.where(values > UNDETERMINED * values[-1], 1.0 / values, 0.0)
-    return np.asarray((vectors * inverted) @ vectors.T / np.outer(scale, scale))
+    covariance[block] = (vectors * inverted) @ vectors.T / np.outer(scale, scale)
+    return covariance
 
 
 @dataclass
