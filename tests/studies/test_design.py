@@ -135,7 +135,8 @@ def test_a_seed_gives_one_front_wherever_it_is_computed(servicer):
     with open_executor(2) as executor:
         there = design_buffer(servicer, requirements, DAMPER, candidates=100, executor=executor)
     assert [x.values for x in here.history] == [x.values for x in there.history]
-    assert here.front == there.front
+    # as text: since Python 3.13, a dataclass with a NaN equals no other
+    assert [*map(repr, here.front)] == [*map(repr, there.front)]
     assert len(here.history) <= 100
 
 
