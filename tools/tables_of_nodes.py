@@ -58,12 +58,12 @@ TYPES = {
 }
 #: When a topic is sent, in words.
 SENT = {
-    Rate.STATE: "at `run.state_rate` (1 kHz)",
+    Rate.STATE: "with each sample (1 kHz)",
     Rate.PERIODIC: "at `run.rate` (100 Hz)",
     Rate.SENSOR: "at the sensor's rate",
     Rate.EVENT: "at each event or change",
     Rate.ONCE: "once a run and publisher",
-    Rate.CONTROL: "with each step of a control loop",
+    Rate.CONTROL: "with each step of a loop",
 }
 #: ... where the rate alone does not say it.
 SENT_BY_NAME = {
@@ -289,9 +289,9 @@ def topics(graph: Graph, folder: Path) -> tuple[str, str]:
                 raise RuntimeError(f"{each.topic.name} of {end.node_name}: {differs}")
         publishers = sorted({end.node_name for end in each.ends})
         sent = SENT_BY_NAME.get(each.topic.name) or SENT[each.topic.rate]
-        kind = each.topic.type_name.replace("/msg/", "/")
+        kind = each.topic.type_name.replace("/msg/", "/").removeprefix("capture_sim/")
         rows.append([f"`{each.topic.name}`", kind, ", ".join(publishers), sent, each.frames])
-    head = ["topic", "type", "publisher", "sent", "frame_id, and child_frame_id"]
+    head = ["topic", "type", "publisher", "sent", "frame_id (to child)"]
     frames = [
         [f"`{child}`", f"`{parent}`", f"`{t}`"] for child, (parent, t) in sorted(tree.items())
     ]
