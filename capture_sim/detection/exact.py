@@ -113,7 +113,7 @@ class Statuses(Sequence[CaptureStatus]):
     def __getitem__(self, index: slice) -> list[CaptureStatus]: ...
 
     def __getitem__(self, index: int | slice) -> CaptureStatus | list[CaptureStatus]:
-        """Return one status, or some."""
+        """Return the status at an index, or the statuses of a slice as a list."""
         if isinstance(index, slice):
             return list(self)[index]
         if index in (-1, len(self.rows) - 1):

@@ -75,7 +75,7 @@ class Resolution:
         self._count = 0
 
     def add(self, difference: float) -> None:
-        """Add the difference to the measurement before."""
+        """Add the difference between a measurement and the one before."""
         self._differences.append(abs(difference))
         self._count += 1
         if self._count % MIN_DIFFERENCES == 0:

@@ -165,7 +165,10 @@ class Loop:
             self._record(answer, wrench)
 
     def _is_in_place(self, tip: TipState | None) -> bool:
-        """Return whether the rig's tip, where it was last measured, is at the first position."""
+        """Note how far the rig's tip is from the first position; return True if it is there.
+
+        The tip is where it was last measured.
+        """
         if tip is not None:
             self.start_distance = math.hypot(tip.x - self.pose.x, tip.y - self.pose.y)
         return self.start_distance <= MAX_START_DISTANCE

@@ -158,7 +158,7 @@ class _Stream:
 
 
 class _StatusStream(_Stream):
-    """A stream of statuses, and a transient-local topic for changes of state."""
+    """Publishes every status on one topic, and each change of state on a transient-local one."""
 
     stream: Topic
     changes: Topic  # transient local

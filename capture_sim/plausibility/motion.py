@@ -67,7 +67,7 @@ class MeasuredMotion:
 
     @property
     def target(self) -> Poses | None:
-        """Poses of the target; None without any."""
+        """Poses of the target; None if none were measured."""
         return self.measured.target
 
     @cached_property

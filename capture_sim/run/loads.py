@@ -131,7 +131,7 @@ def _columns_of_loads() -> list[tuple[Load, list[str], list[tuple[int, int]]]]:
 def _peak(
     load: Load, columns: Sequence[tuple[int, int]], rows: Sequence[tuple[float, ...]]
 ) -> tuple[float | None, float | None]:
-    """Return a load in some rows of extremes, and its time."""
+    """Return the peak of a load over some rows of extremes, and its time."""
     value = t = None
     for row in rows:
         for column, time_column in columns:

@@ -91,7 +91,7 @@ def _exceeds(rows: pandas.DataFrame, limits: Sequence[Limit]) -> pandas.Series:
 
 
 def margin_at(table: pandas.DataFrame, limit: Limit, share: float) -> float:
-    """Return the share of a limit that is left in all but a share of the runs; NaN without runs.
+    """Return 1 - q / limit, q the (1 - share) quantile of a load; NaN without runs.
 
     Negative where more than this share of the runs exceed the limit.
     """

@@ -87,9 +87,9 @@ def outcome_of(run: Integration) -> Outcome:
 
 @dataclass(frozen=True)
 class FirstContactLoads:
-    """The first contact of a run (:func:`capture_sim.run.first_contact.first_cluster`); SI units.
+    """Peak loads of a run's first contact, in SI units.
 
-    Largest magnitudes until it ended.  Strokes are |Delta x| and |Delta theta| of the paper's
+    :func:`capture_sim.run.first_contact.first_cluster` says when that contact ends.  Strokes are |Delta x| and |Delta theta| of the paper's
     design flow.
     """
 

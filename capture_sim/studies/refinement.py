@@ -247,8 +247,8 @@ def nelder_mead(
 ) -> Search:
     """Ask for points in the unit cube, and receive their values, by Nelder and Mead's method.
 
-    Points are clipped to the cube.  A simplex that has become small is begun anew around its best
-    point, and smaller than before.
+    Points are clipped to the cube.  A simplex that has become small is restarted around its
+    best point, smaller than before.
     """
     n, left = start.size, runs
     best = np.clip(start, 0.0, 1.0)

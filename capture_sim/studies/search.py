@@ -53,7 +53,7 @@ _CONFIRMED = 6
 
 @dataclass(frozen=True)
 class Window:
-    """The values of an objective over which the rows are spaced, SI."""
+    """Range of an objective over which the rows are spaced, in SI units."""
 
     key: str
     low: float
@@ -308,7 +308,7 @@ class DesignSearch:
         return sorted(asked[:room])
 
     def _widen(self) -> bool:
-        """Widen ranges with an optimum at their end and no active limit; return whether any."""
+        """Widen each range whose end is an optimum without an active limit; True if any was."""
         limits = self._requirements.limits
         wider = list(self.variables)
         ends = self._ends() if len(self._objectives) > 1 else []

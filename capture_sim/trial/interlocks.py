@@ -260,7 +260,7 @@ class Interlocks:
         return self._chosen.setdefault(source, topic) == topic
 
     def refusal(self, now: float) -> str:
-        """Return why the chaser must not be let go; empty if it is seen and its driver is there."""
+        """Return the reasons against letting the chaser go; empty if there are none."""
         stale = [
             self._stale_text(source, now, limit)
             for source, limit in self._limited()

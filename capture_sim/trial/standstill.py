@@ -49,7 +49,7 @@ class Standstill:
         return math.dist(first[:2], last[:2]), abs(turn)
 
     def motion(self, now: float) -> str:
-        """Return how it moves, in words; empty if it stands, or nothing shows that it moves."""
+        """Return in words how the vehicle moves; empty if it stands or no poses show a motion."""
         drift = self.drift(now)
         if drift is None or (drift[0] <= MAX_DRIFT and drift[1] <= MAX_TURN):
             return ""

@@ -139,9 +139,9 @@ class BenchNode(ParameterNode):
             executor.create_task(lambda: None)
 
     def freeze_objects(self) -> None:
-        """Leave the objects that exist now out of later collections: one takes longer than a tick.
+        """Exclude the objects that exist now from later garbage collections.
 
-        For the begin of a node's work.
+        A collection of all of them takes longer than a tick.  Call it when a node begins its work.
         """
         gc.collect()
         gc.freeze()

@@ -173,7 +173,7 @@ class Announcer:
                 raise CaptureSimError(f"{name} has not joined the run")
 
     def await_read(self) -> None:
-        """Wait until all that was sent has arrived, and name a reader that reads nothing."""
+        """Wait until all readers have received every message, and name a reader that stalls."""
         topic_publishers = self._node.topic_publishers
         unread = topic_publishers.drain(topic_publishers.reader_timeout)
         if unread and not topic_publishers.dropped and not self._node.end_request.is_set():
