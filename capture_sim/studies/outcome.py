@@ -89,8 +89,8 @@ def outcome_of(run: Integration) -> Outcome:
 class FirstContactLoads:
     """Peak loads of a run's first contact, in SI units.
 
-    :func:`capture_sim.run.first_contact.first_cluster` says when that contact ends.  Strokes are |Delta x| and |Delta theta| of the paper's
-    design flow.
+    :func:`capture_sim.run.first_contact.first_cluster` says when that contact ends.  Strokes are
+    |Delta x| and |Delta theta| of the paper's design flow.
     """
 
     axial_stroke: float
