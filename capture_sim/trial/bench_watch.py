@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection
 from dataclasses import replace
 from statistics import median
 from typing import NamedTuple
@@ -30,6 +29,7 @@ from capture_sim.run.touches import unseen_impact
 from capture_sim.scene.geometry import nearest_on_wall, tip_motion
 from capture_sim.scene.launch_plan import expected_time, tip_at_release, travel_to_touch
 from capture_sim.scene.parts import PlanarState, Scene
+from capture_sim.trial.standstill import WINDOW, Pose, median_pose
 
 #: A fit goes over this time, s, and over this many poses at least.
 FIT_WINDOW, MIN_FIT_POSES = 0.3, 12
@@ -37,8 +37,10 @@ FIT_WINDOW, MIN_FIT_POSES = 0.3, 12
 FIT_PERIOD = 0.1
 #: After a longer gap, or a step back of the stamps by more, a fit starts again, s.
 MAX_FIT_GAP = 0.5
-#: Poses before the release that give the start; without them, the first ones after it.
-MAX_START_POSES, MIN_START_POSES = 50, 5
+#: The start is the median of the poses that arrived in this time before the release, s, in which
+#: the chaser has stood by rule; earlier ones may show how it was pulled back.  There must be this
+#: many of them; the first ones after the release fill up what is missing.
+START_WINDOW, MIN_START_POSES = WINDOW, 5
 #: Poses that arrive within this time after the release have waited for the node, s (wall): the
 #: chaser was still at rest, or has moved by less than 0.1 mm.
 SETTLING_TIME = 0.05
@@ -51,8 +53,6 @@ MIN_MOTION = 0.01
 N_LATEST, CONTACT_DISTANCE = 5, 0.005
 #: The travel to the cone is predicted until the tip is this close to it, m.
 MIN_PREDICTION_DISTANCE = 0.02
-
-Pose = tuple[float, float, float]  # x, y (m), heading (rad), in the world
 
 
 class TravelEstimate(NamedTuple):
@@ -102,7 +102,7 @@ class BenchWatch:
 
     def __init__(self, launcher: Launcher, scene: Scene) -> None:
         self._launcher, self._scene = launcher, scene
-        self._at_rest: deque[Pose] = deque(maxlen=MAX_START_POSES)
+        self._at_rest: deque[tuple[float, Pose]] = deque()  # s, arrival
         self._stamps: deque[float] = deque(maxlen=MIN_START_POSES)  # s, of the last of these
         self._start: Pose | None = None
         self._late_by = 0.0  # s, from the release to the first pose; 0 where poses came before
@@ -186,10 +186,13 @@ class BenchWatch:
     def _find_start(self, stamp: float, pose: Pose, arrival: float) -> None:
         """Collect poses of the start; the first one after the release ends that."""
         if len(self._stamps) == MIN_START_POSES and arrival > self._released + SETTLING_TIME:
-            self._start = _median(self._at_rest)
+            self._start = median_pose([each for _, each in self._at_rest])
             self._zero = median(self._stamps) - self._late_by
             return
-        self._at_rest.append(pose)
+        at_rest = self._at_rest
+        at_rest.append((arrival, pose))
+        while at_rest[0][0] < arrival - START_WINDOW and len(at_rest) > MIN_START_POSES:
+            at_rest.popleft()
         self._stamps.append(stamp)
         if arrival > self._released + MAX_START_DELAY:
             self._late_by = self._late_by or arrival - self._released
@@ -287,13 +290,6 @@ def gap_to_cone(
     )
     gap -= scene.probe.tip_radius
     return min(gap, 0.0) if ahead_of_BE <= 0.0 and abs(py) <= scene.cone.R_c else gap
-
-
-def _median(poses: Collection[Pose]) -> Pose:
-    """Return the pose of a vehicle at rest: the median of each coordinate."""
-    x, y, heading = zip(*poses, strict=True)
-    turned = median(math.remainder(each - heading[0], 2.0 * math.pi) for each in heading)
-    return median(x), median(y), heading[0] + turned
 
 
 def _at(state: PlanarState, pose: Pose) -> PlanarState:

@@ -15,7 +15,14 @@ from capture_sim.detection.measurements import Source
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range, quantity
 from capture_sim.trial.hold import HoldPublishers, HoldReaders
-from capture_sim.trial.standstill import MAX_START_ERROR, HeldWatch, Pose, Standstill
+from capture_sim.trial.standstill import (
+    MAX_START_ERROR,
+    MIN_POSES,
+    WINDOW,
+    HeldWatch,
+    Pose,
+    Standstill,
+)
 
 #: A stamp that is older than the one before by more is that of a clock that was set back, s.
 MAX_STEP_BACK = 0.5
@@ -326,7 +333,12 @@ class Interlocks:
                 broken.append(("rates", text))
         if self._scene is not None:
             broken += self._rest_rules(self._scene, now)
-        if motion := self._standstill().motion(now):
+        standstill = self._standstill()
+        if not standstill.stands(now):
+            motion = standstill.motion(now) or (
+                "has sent too few poses to tell whether it stands: "
+                f"must be {MIN_POSES} in {WINDOW} s"
+            )
             broken.append(("standstill", f"the chaser {motion}: it must stand before a release"))
         lines = [f"{text} [rule {rule}]" for rule, text in broken if rule not in self.waived]
         return [*lines, *self.implausible]

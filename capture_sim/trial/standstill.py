@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection
 from statistics import median
 
 Pose = tuple[float, float, float]  # x, y (m), heading (rad), in the world
 
-#: Poses of the last so many s are compared: the first third of them with the last, by the median.
+#: The poses of this window are compared, s: the median of the first third with that of the newest.
 WINDOW = 0.6
-#: They must cover so many s, with so many poses at least.
+#: The newest poses.  Their median shows a sudden motion in the third pose, and ignores two wild
+#: ones; by that of a third of the window, a chaser would stand for 0.1 s after it was pushed.
+N_NEWEST = 5
+#: The poses must cover this time, s, and there must be this many of them.
 MIN_SPAN, MIN_POSES = 0.4, 6
-#: A chaser that stands moves by less between the two thirds, m and rad: noise of 1 mm does not.
+#: A chaser stands if it moved by at most this, m and rad.  Noise of 1 mm stays below it.
 MAX_DRIFT, MAX_TURN = 0.003, 0.03
 #: It is back at its start within this distance, m.
 MAX_START_ERROR = 0.05
@@ -36,26 +40,27 @@ class Standstill:
     def pose(self, now: float) -> Pose | None:
         """Return the median of the latest poses; None without any."""
         poses = [pose for t, pose in self._poses if t >= now - WINDOW]
-        return _median(poses) if poses else None
+        return median_pose(poses) if poses else None
 
     def drift(self, now: float) -> tuple[float, float] | None:
-        """Return how far it has moved, m, and turned, rad; None while that is not known."""
+        """Return how far the chaser has moved, m, and turned, rad; None while that is not known."""
         poses = [each for each in self._poses if each[0] >= now - WINDOW]
         if len(poses) < MIN_POSES or poses[-1][0] - poses[0][0] < MIN_SPAN:
             return None
         third = len(poses) // 3
-        first, last = (_median([pose for _, pose in p]) for p in (poses[:third], poses[-third:]))
+        newest = poses[-min(third, N_NEWEST) :]
+        first, last = (median_pose([pose for _, pose in p]) for p in (poses[:third], newest))
         turn = math.remainder(last[2] - first[2], 2.0 * math.pi)
         return math.dist(first[:2], last[:2]), abs(turn)
 
     def motion(self, now: float) -> str:
-        """Return in words how the vehicle moves; empty if it stands or no poses show a motion."""
+        """Return in words how the chaser moves; empty if it stands, or if too few poses tell."""
         drift = self.drift(now)
         if drift is None or (drift[0] <= MAX_DRIFT and drift[1] <= MAX_TURN):
             return ""
         length, turn = drift
         return (
-            f"moves by {1e3 * length:.3g} mm and {math.degrees(turn):.2g} degrees in {MIN_SPAN} s"
+            f"moves by {1e3 * length:.3g} mm and {math.degrees(turn):.2g} degrees within {WINDOW} s"
         )
 
     def stands(self, now: float) -> bool:
@@ -104,7 +109,8 @@ class HeldWatch:
                 )
 
 
-def _median(poses: list[Pose]) -> Pose:
+def median_pose(poses: Collection[Pose]) -> Pose:
+    """Return the pose of a vehicle at rest: the median of each coordinate."""
     x, y, heading = zip(*poses, strict=True)
     turn = median(math.remainder(each - heading[0], 2.0 * math.pi) for each in heading)
     return median(x), median(y), heading[0] + turn

@@ -18,9 +18,10 @@ from capture_sim.errors import CaptureSimError
 from capture_sim.launcher.state_machine import Launcher, LauncherPhase, LauncherStatus
 from capture_sim.messages.topics import CAPTURE_DETECTOR
 from capture_sim.scene.parts import Scene
-from capture_sim.trial.bench_watch import BenchWatch, Pose
+from capture_sim.trial.bench_watch import BenchWatch
 from capture_sim.trial.hold import HOLD_TIMEOUT
 from capture_sim.trial.interlocks import Interlocks
+from capture_sim.trial.standstill import Pose
 
 #: Verdicts that may be expected, as the detector names them.
 VERDICTS = ("captured", "rebound", "missed", "stuck", "undecided")

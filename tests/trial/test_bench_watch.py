@@ -11,6 +11,7 @@ from capture_sim import load_scene
 from capture_sim.launcher.state_machine import Launcher, LauncherPhase
 from capture_sim.scene.launch_plan import rolling_force
 from capture_sim.trial.bench_watch import BenchWatch, TravelFit, gap_to_cone
+from capture_sim.trial.standstill import WINDOW
 
 SCENE = load_scene("tilt_0")
 STOP_TRAVEL = 0.2142  # m, of a tip on the cone's axis
@@ -223,3 +224,16 @@ def test_gap_is_the_distance_to_the_walls():
         assert pushed == pytest.approx(expected)
     inside = (-cone.L_T + 0.03 - arm, 0.0, 0.0)
     assert gap_to_cone(SCENE, inside, (0.0, 0.0, 0.0)) <= 0.0
+
+
+@pytest.mark.parametrize("rate", [20.0, 50.0, 200.0])
+def test_a_chaser_that_was_pulled_back_just_before_the_release_starts_where_it_stands(rate):
+    """The poses of the way back are older than those in which it has stood, at any rate."""
+    pulled = 0.2 + WINDOW  # s before the release
+
+    def travel(t):
+        return travel_at(t) if t > 0.0 else min(max(-0.5 * (t + pulled), 0.0), 0.2)
+
+    phases, launcher = launch(travel, rate=rate, position=1e-4, armed=3.0)
+    assert phases[-1] == "delivered", launcher.status.reason
+    assert launcher.status.measured_speed == pytest.approx(launcher.plan.impact_speed, abs=0.005)

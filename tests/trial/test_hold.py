@@ -52,6 +52,7 @@ class Bench:
 
     def __init__(self, **options):
         self.now, self.sent, self.driver, self.steps = 0.0, [], Driver(), []
+        self.served = -1.0
         self.output = HoldOutput(self.send)
         self.interlocks = Interlocks(TrialLimits(max_pose_age=5.0, max_buffer_age=5.0), TOPICS)
         self.interlocks.readers.note(["/driver"], {}, -1.0)
@@ -68,9 +69,12 @@ class Bench:
 
     def serve(self):
         """Do what a callback of the launcher does."""
-        for source, (topic,) in TOPICS.items():
-            pose = TARGET if source is Source.TARGET else (0.0, 0.005, 0.0)
-            self.interlocks.add(topic, int(self.now * 1e9), pose, self.now)
+        stamps = [self.now - 0.005 * k for k in range(40) if self.now - 0.005 * k > self.served]
+        for stamp in reversed(stamps):  # those that have waited for this callback arrive together
+            for source, (topic,) in TOPICS.items():
+                pose = TARGET if source is Source.TARGET else (0.0, 0.005, 0.0)
+                self.interlocks.add(topic, int(stamp * 1e9), pose, self.now)
+        self.served = self.now
         self.trial.note_silence(self.output.silence(self.now), self.now)
         self.steps += self.trial.advance(self.now)
         self.output.update(self.trial.holds, self.now)

@@ -14,12 +14,22 @@ NAMES = {source: topics[0] for source, topics in TOPICS.items()}
 
 
 def refusal(
-    *, rate=None, speed=0.0, x=0.0, turn=0.0, stroke=0.0, machine=math.nan, waived=(), **limits
+    *,
+    rate=None,
+    speed=0.0,
+    x=0.0,
+    turn=0.0,
+    stroke=0.0,
+    machine=math.nan,
+    first_pose=0.0,
+    waived=(),
+    **limits,
 ):
     """Return why a bench is not released after 2 s of its measurements.
 
     ``rate``: Hz, by source; ``speed``: of the chaser, m/s; ``x`` and ``turn``: of the chaser from
-    its start, m and rad; ``stroke``: m; ``machine``: this machine's clock, s.
+    its start, m and rad; ``stroke``: m; ``machine``: this machine's clock, s; ``first_pose``: when
+    its camera begins, s.
     """
     interlocks = Interlocks(TrialLimits(**limits), TOPICS, waived=waived)
     interlocks.readers.note(["/driver"], {}, -1.0)
@@ -29,7 +39,7 @@ def refusal(
         t = 1e-3 * k
         for source, topic in NAMES.items():
             period = round(1000.0 / (rate or {}).get(source, 100.0))
-            if k % period == 0:
+            if k % period == 0 and (source is not Source.CHASER or t >= first_pose):
                 values = {
                     Source.CHASER: (x + speed * t, 0.005, turn),
                     Source.TARGET: (TARGET, 0.0, 0.0),
@@ -61,8 +71,17 @@ def test_a_source_that_sends_too_seldom_refuses():
 
 def test_a_chaser_that_moves_refuses():
     text = refusal(speed=0.05, waived=["start"])
-    assert text.startswith("the chaser moves by 20 mm")
+    assert text.startswith("the chaser moves by 23.7 mm")
     assert refusal(speed=0.05, waived=["start", "standstill"]) == ""
+
+
+def test_a_chaser_with_too_few_poses_to_tell_whether_it_stands_refuses():
+    """Of cameras that have just been started no rate is known yet, either."""
+    for first, refuses in ((1.7, True), (1.58, False)):
+        text = refusal(first_pose=first)
+        assert ("too few poses to tell whether it stands: must be 6 in 0.6 s" in text) is refuses
+        assert refusal(first_pose=first, waived=["standstill"]) == ""
+    assert "too few poses" in refusal(rate={Source.CHASER: 8.0}, min_rate=5.0)
 
 
 @pytest.mark.parametrize("where", [{"x": 0.06}, {"x": -0.06}, {"turn": 0.2}, {"x": 212.5}])
@@ -100,7 +119,7 @@ def test_rules_of_plausibility_are_looked_at_in_the_moment_of_the_release():
         rig.interlocks.implausible = ("load_cell/wrench: a hand",) if len(looks) == 1 else ()
 
     rig.interlocks.look_for_implausible = look
-    rig.run(0.2)
+    rig.run(0.5)
     assert (looks, rig.trial.is_released) == ([False], False)
     assert rig.trial.waiting_for(rig.now) == "load_cell/wrench: a hand"
     rig.interlocks.implausible = ()  # as a later look finds

@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from capture_sim.trial.standstill import MAX_DRIFT, HeldWatch, Standstill
+from capture_sim.trial.standstill import MAX_DRIFT, N_NEWEST, WINDOW, HeldWatch, Standstill
 
 RATE = 100.0  # Hz
 
@@ -82,7 +82,23 @@ def test_a_driver_that_ignores_the_hold_is_an_alarm_until_its_chaser_is_back():
     assert "its driver does not hold it" in text
 
 
-def test_the_limit_of_the_motion_is_that_between_two_thirds():
+def test_the_limit_of_a_steady_motion_is_that_from_the_first_third_to_the_newest_poses():
+    seconds = WINDOW * 5.0 / 6.0 - 0.5 * N_NEWEST / RATE
     for share, stands in ((0.9, True), (1.1, False)):
-        watch, now = watched(share * MAX_DRIFT / 0.4)
+        watch, now = watched(share * MAX_DRIFT / seconds)
         assert watch.stands(now) is stands
+
+
+@pytest.mark.parametrize("rate", [30.0, 90.0, 200.0])
+@pytest.mark.parametrize("speed", [0.2, 0.5, 1.5])
+def test_one_that_is_pushed_stands_for_three_more_poses_at_most(rate, speed):
+    """As somebody pulls the chaser back in the moment of a release."""
+    for seed in range(20):
+        rng, watch, stood = random.Random(seed), Standstill(), []
+        pushed = 1.0 + rng.uniform(0.0, 1.0) / rate
+        for k in range(round(2.0 * rate)):
+            t = k / rate
+            watch.add((rng.gauss(speed * max(t - pushed, 0.0), 1e-5), 0.0, 0.0), t)
+            if watch.stands(t):
+                stood.append(t)
+        assert max(stood) < pushed + 3.0 / rate + MAX_DRIFT / speed
