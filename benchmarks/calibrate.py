@@ -25,7 +25,8 @@ from benchmarks.pages import table, write_parts
 from capture_sim import load_scene, read_run
 from capture_sim.dynamics.bench import Bench
 from capture_sim.errors import SceneError, SimulationError
-from capture_sim.run.run import Run
+from capture_sim.run.given import Given
+from capture_sim.run.run import MeasuredRun, Run
 from capture_sim.run.series import Series, series_in
 from capture_sim.scene.launch_plan import plan_launch
 from capture_sim.scene.parts import Scene
@@ -135,7 +136,7 @@ def measured(
         values = (seen[:, 0] if buffer else seen) * (scale if quantity == "stroke" else 1.0)
         noisy = values + rng.normal(size=values.shape) * sigma
         series[quantity] = {"a sensor": Series(t + wrong, noisy)}
-    return Run(name, given_scene=scene, series=series, plan=plan)
+    return MeasuredRun(name, Given(scene=scene, series=series, plan=plan))
 
 
 def distance(found: Calibration, true: dict[str, float]) -> float:
@@ -162,7 +163,7 @@ def recover(asked: argparse.Namespace, _: Path) -> list[str]:
             print(f"seed {seed}: bench left out: {error}", flush=True)
             left_out += 1
             continue
-        coming = launched(measured("tilt_0", true, rng).replaced(given_scene=_next(rng)))
+        coming = launched(measured("tilt_0", true, rng).replaced(scene=_next(rng)))
         found = calibrate(trials, predict=coming)
         off = distance(found, true)
         is_near = off < limit
@@ -268,7 +269,7 @@ def starts(asked: argparse.Namespace, _: Path) -> list[str]:
             for (key, paths), factor in zip(PATHS.items(), factors.tolist(), strict=True)
             for path in paths
         }
-        moved = [run.replaced(given_scene=with_values(run.scene, fields)) for run in trials]
+        moved = [run.replaced(scene=with_values(run.scene, fields)) for run in trials]
         try:
             found = calibrate(moved)
         except (SceneError, SimulationError) as error:

@@ -215,7 +215,7 @@ _BANDWIDTHS, _RATES = (8e3, 4e3), (1e3, 2e3)
 def _found_in(run: NoisyRun, quantity: str, force: Series) -> Touches | None:
     """Return the touches that a recording with this force shows."""
     series = {**run.run.series, quantity: {"a sensor": force}}
-    return run.run.replaced(given_scene=run.scene, series=series).resolved_touches[0]
+    return run.run.replaced(scene=run.scene, series=series).resolved_touches[0]
 
 
 def restitution(asked: Namespace, _: Path) -> list[str]:

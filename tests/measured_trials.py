@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from capture_sim.dynamics.bench import Bench
-from capture_sim.run.run import Run
+from capture_sim.run.given import Given
+from capture_sim.run.run import MeasuredRun, Run
 from capture_sim.run.series import Series, series_in
 from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import Scene
@@ -79,4 +80,4 @@ def measured_trial(
         values = exact[quantity].values[index] * (scales or {}).get(quantity, 1.0)
         noisy = values + rng.normal(size=values.shape) * sigma
         series[quantity] = {"a sensor": Series(t, noisy)}
-    return Run(name, given_scene=scene, series=series)
+    return MeasuredRun(name, Given(scene=scene, series=series))

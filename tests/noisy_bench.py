@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from capture_sim.dynamics.bench import Bench
-from capture_sim.run.run import Run
+from capture_sim.run.given import Given
+from capture_sim.run.run import MeasuredRun, Run
 from capture_sim.run.sensors import sensor_series
 from capture_sim.run.series import Series, series_in
 from capture_sim.run.touches import Touches, in_messages, located
@@ -79,7 +80,9 @@ def noisy_run(name: str, seed: int, true: tuple[float, ...] | None = None) -> No
         start=met["start"] + rng.normal(size=met.size) * START_NOISE,
         peak=met["peak_force"] + rng.normal(size=met.size) * PEAK_NOISE,
     )
-    return NoisyRun(scene, parameters, Run(name, series=measured, plan=plan), touches)
+    return NoisyRun(
+        scene, parameters, MeasuredRun(name, Given(series=measured, plan=plan)), touches
+    )
 
 
 def tip_force(run: NoisyRun, rng: np.random.Generator) -> Series:

@@ -185,7 +185,7 @@ def _simulated(run: Run) -> Run:
 
 def _print_agreement(found: Agreement, recorded: Run) -> None:
     """Print how far the samples of a recording agree with its scene simulated again."""
-    echo(f"{found.compared} of {recorded.state.size} samples compared")
+    echo(f"{found.compared} of {recorded.samples.size} samples compared")
     if found.foreign:
         echo(f"  {found.foreign} samples do not match this run: another publisher or another run")
     if found.missing:

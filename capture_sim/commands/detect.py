@@ -54,14 +54,14 @@ def run(options: argparse.Namespace) -> int:
         waived=options.waived,
     )
     scene = recorded.scene
-    judged_by = with_criteria(scene, recorded.criteria, changed)
+    judged_by = with_criteria(scene, recorded.given.criteria, changed)
     for limit in fields(Detector):
         name, unit = limit.name, limit.metadata["unit"]
         value, of_scene = (getattr(by.detector, name) for by in (judged_by, scene))
         if value != of_scene:
             echo(f"recorded criterion: {name} = {value:g} {unit} (scene: {of_scene:g} {unit})")
     statuses = detect(recorded, judged_by)
-    is_simulated = recorded.origin.live.is_simulated
+    is_simulated = recorded.given.live.is_simulated
     label = None
     for status in statuses:
         if status.label != label:
@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
     verdict = statuses[-1]
     since = _since(verdict)
     nearest = in_words(verdict.nearest_distance, verdict.nearest_deviation)
-    if recorded.located_extremes is not None and not verdict.nearest_deviation:
+    if recorded.given.extremes is not None and not verdict.nearest_deviation:
         # the detector sees samples; the run itself may have come nearer between them
         nearest = f"closest approach {recorded.loads['nearest_distance'] * 1e3:.3f} mm"
     echo(
@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
     )
     if verdict.not_used:
         echo(f"measurements not used: {one_line(verdict.not_used)}")
-    if not recorded.reported_statuses:
+    if not recorded.given.statuses:
         return OK
     before = recorded.statuses[-1]
     since_before = _since(before)
@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
     )
     if same or changed or options.scene is not None:
         return OK
-    if recorded.criteria is None:
+    if recorded.given.criteria is None:
         echo(
             "the recording contains no criteria, so the scene's criteria were used; criteria that "
             "were set on the node may explain the difference"

@@ -546,8 +546,8 @@ def open_or_simulate(
     from capture_sim.recording.read import run_of
 
     run = run_of(open_bag(source, remaps, release=release))
-    if scene is not None and not (run.is_exact and run.given_scene):
-        run = run.replaced(given_scene=load_scene(scene))
+    if scene is not None and not (run.is_exact and run.given.scene):
+        run = run.replaced(scene=load_scene(scene))
     return _checked(run, source, waived, judges=judges)
 
 

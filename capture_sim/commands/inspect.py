@@ -112,7 +112,7 @@ def _print_judgement(path: str, read: Run) -> None:
         echo(f"{where}{doubt.line}")
     if not read.doubts:
         echo(f"{where}no rule is broken")
-    if read.given_scene is None and read.evidence:
+    if read.given.scene is None and read.given.evidence:
         echo(f"{where}not checked without --scene: {', '.join(rules_with_scene())}")
     for command, lacking in missing_for(read).items():
         text = f"not possible without {'; '.join(lacking)}" if lacking else "can be run"

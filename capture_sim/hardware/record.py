@@ -11,15 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from capture_sim.base.software import software_versions
 from capture_sim.dynamics.memory import joined
 from capture_sim.dynamics.samples import Event, EventKind, Phase
 from capture_sim.hardware.law import TipState, Walls
 from capture_sim.hardware.stage import LoopStage
+from capture_sim.run.given import Given
 from capture_sim.run.loads import sampled_extremes
-from capture_sim.run.origin import Origin
 from capture_sim.run.reconstruction import touches_in_samples
-from capture_sim.run.run import Run
+from capture_sim.run.run import ExactRun, Run
 from capture_sim.scene.parts import PlanarState, Scene
 
 #: Events of the stage that its record keeps; the touches of a law are found as those of a rig.
@@ -51,16 +50,14 @@ class LoopRecord:
         _fill_speeds(touches, samples)
         own = [event for event in self._stage.events if event.kind in _KEPT]
         events = sorted([*own, *_events(samples, touches)], key=lambda event: event.t)
-        return Run(
-            name=scene.name,
-            origin=Origin(software=software_versions()),
-            given_scene=scene,
-            state=samples,
-            located_touches=touches,
-            logged_events=tuple(events),
-            located_extremes=sampled_extremes(scene, samples, touches, events),
-            failure=failure,
+        given = Given(
+            scene=scene,
+            samples=samples,
+            touches=touches,
+            events=tuple(events),
+            extremes=sampled_extremes(scene, samples, touches, events),
         )
+        return ExactRun(scene.name, given, failure=failure)
 
 
 def _scene_of(stage: LoopStage, first: np.void) -> Scene:

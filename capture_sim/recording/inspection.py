@@ -125,7 +125,7 @@ def missing_for(run: Run) -> dict[str, list[str]]:
     common = [f"rule {name} kept" for name in dict.fromkeys(refused)]
     vehicles = [v for v in ("chaser", "target") if not run.measured(v).t.size]
     poses = [f"poses of the {vehicle}" for vehicle in vehicles]
-    scene = [] if run.given_scene is not None else ["a scene (--scene)"]
+    scene = [] if run.given.scene is not None else ["a scene (--scene)"]
     has_buffer = all(run.measured(name).t.size for name in ("stroke", "torsion"))
     buffer = [] if has_buffer else ["the buffer's state"]
     contact: list[str] = []
@@ -144,7 +144,7 @@ def as_data(bag: Bag, run: Run) -> dict[str, object]:
     """Return all of it as plain data, for scripts."""
     return {
         "recording": str(bag.path),
-        "scene": None if run.given_scene is None else run.given_scene.name,
+        "scene": None if run.given.scene is None else run.given.scene.name,
         "problems": [*bag.left_out, *bag.problems],
         "series": [vars(row) for row in series_rows(bag, run)],
         "doubts": [_doubt(doubt) for doubt in run.doubts],

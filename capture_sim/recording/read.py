@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
+import numpy as np
+
+from capture_sim.detection.criteria import CaptureStatus
+from capture_sim.dynamics.samples import Event, Extremes
 from capture_sim.errors import RecordingError
 from capture_sim.messages.topics import (
     BENCH_EVENT,
@@ -14,8 +17,8 @@ from capture_sim.messages.topics import (
     CAPTURE_CRITERIA,
     CAPTURE_STATUS,
     CONTACT_TRACE,
-    Topic,
 )
+from capture_sim.plausibility.measured import Measured
 from capture_sim.recording.bag import Bag, read_bag
 from capture_sim.recording.evidence import evidence_in
 from capture_sim.recording.export import tables_of
@@ -25,10 +28,12 @@ from capture_sim.recording.measurements import (
     received_in,
     series_of,
 )
-from capture_sim.run.lazy import Deferred
+from capture_sim.run.given import Given
 from capture_sim.run.origin import Origin
-from capture_sim.run.run import Run
-from capture_sim.scene.parts import Scene
+from capture_sim.run.run import ExactRun, MeasuredRun, Run
+from capture_sim.run.verdict import LiveConditions, Received
+from capture_sim.scene.launch_plan import LaunchPlan
+from capture_sim.scene.parts import Detector, Scene
 
 
 def read_run(
@@ -77,38 +82,83 @@ def run_of(bag: Bag, scene: Scene | None = None) -> Run:
     if scene is None and bag.has_scene:
         scene, sha256 = bag.scene, bag.metadata.get("scene_sha256", "")
 
-    def of_topic(topic: Topic, name: str) -> Deferred[Any] | None:
-        """Return a property of the bag; None if a foreign topic has the name of ours."""
-        return Deferred(partial(getattr, bag, name)) if bag.holds(topic) else None
+    kind = ExactRun if bag.holds(BENCH_STATE) else MeasuredRun
+    return kind(bag.name, GivenByBag(bag, scene), _origin_of(bag, sha256), wall_time=bag.wall_time)
 
-    return Run(
-        name=bag.name,
-        origin=_origin_of(bag, sha256),
-        given_scene=scene,
-        state=of_topic(BENCH_STATE, "samples"),
-        series=series_of(bag),
-        located_touches=of_topic(BENCH_EVENT, "touches"),
-        logged_events=of_topic(BENCH_EVENT, "events"),
-        received=Deferred(partial(received_in, bag, scene)),
-        reported_statuses=of_topic(CAPTURE_STATUS, "statuses"),
-        criteria=of_topic(CAPTURE_CRITERIA, "criteria"),
-        located_extremes=Deferred(partial(getattr, bag, "extremes")),
-        trace=of_topic(CONTACT_TRACE, "trace"),
-        plan=Deferred(partial(commanded_launch, bag, scene)),
-        tables=tables_of(bag),
-        wall_time=bag.wall_time,
-        evidence=Deferred(partial(evidence_in, bag)),
-    )
+
+class GivenByBag(Given):
+    """What a bag gives of a run; a topic is decoded when it is first read.
+
+    A topic with a name of ours and a foreign type gives nothing.
+    """
+
+    def __init__(self, bag: Bag, scene: Scene | None) -> None:
+        super().__init__(scene=scene, series=series_of(bag), tables=tables_of(bag))
+        self._bag = bag
+
+    @cached_property
+    def samples(self) -> np.ndarray:
+        """Recorded states."""
+        return self._bag.samples if self._bag.holds(BENCH_STATE) else super().samples
+
+    @cached_property
+    def touches(self) -> np.ndarray:
+        """Touches of the recorded events."""
+        return self._bag.touches if self._bag.holds(BENCH_EVENT) else super().touches
+
+    @cached_property
+    def events(self) -> Sequence[Event]:
+        """Recorded events."""
+        return self._bag.events if self._bag.holds(BENCH_EVENT) else super().events
+
+    @cached_property
+    def received(self) -> Sequence[Received]:
+        """Measurements in the order in which the live detector received them."""
+        return received_in(self._bag, self.scene)
+
+    @cached_property
+    def live(self) -> LiveConditions:
+        """Which measurements the live detector could use."""
+        return live_conditions(self._bag)
+
+    @cached_property
+    def statuses(self) -> Sequence[CaptureStatus]:
+        """Recorded statuses of the live detector."""
+        return self._bag.statuses if self._bag.holds(CAPTURE_STATUS) else super().statuses
+
+    @cached_property
+    def criteria(self) -> Detector | None:
+        """Recorded criteria of the live detector."""
+        return self._bag.criteria if self._bag.holds(CAPTURE_CRITERIA) else super().criteria
+
+    @cached_property
+    def extremes(self) -> Extremes | None:
+        """Recorded peak loads."""
+        return self._bag.extremes
+
+    @cached_property
+    def trace(self) -> np.ndarray:
+        """Recorded contact at the integrator's steps."""
+        return self._bag.trace if self._bag.holds(CONTACT_TRACE) else super().trace
+
+    @cached_property
+    def plan(self) -> LaunchPlan | None:
+        """Launch as it was commanded."""
+        return commanded_launch(self._bag, self.scene)
+
+    @cached_property
+    def evidence(self) -> Sequence[Measured]:
+        """What the sensors have measured."""
+        return evidence_in(self._bag)
 
 
 def _origin_of(bag: Bag, scene_sha256: str) -> Origin:
     return Origin(
         path=str(bag.path),
         scene_sha256=scene_sha256,
-        software=tuple(filter(None, bag.metadata.get("software", "").split("\n"))),
+        recorded_software=tuple(filter(None, bag.metadata.get("software", "").split("\n"))),
         release=bag.clock.origin,
         after_first_pose=bag.clock.after_first_pose,
-        live=Deferred(partial(live_conditions, bag)),
         problems=bag.problems,
         left_out=bag.left_out,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
@@ -44,21 +44,3 @@ class LazyMapping(Mapping[str, T]):
 
     def __contains__(self, name: object) -> bool:
         return name in self._values
-
-
-class Lazy(Generic[T]):
-    """A field of a dataclass that may be given as a Deferred, e.g. of a topic not yet decoded."""
-
-    def __init__(self, default: Callable[[], T]) -> None:
-        self._default = default
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._name = name
-
-    def __get__(self, run: Any, owner: type) -> T:
-        # of the class: the default of the dataclass's field
-        value: Any = None if run is None else run.__dict__[self._name]
-        return value.value if isinstance(value, Deferred) else value  # type: ignore[no-any-return]
-
-    def __set__(self, run: Any, value: T | Deferred[T] | None) -> None:
-        run.__dict__[self._name] = self._default() if value is None else value

@@ -6,11 +6,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import TYPE_CHECKING, Any
 
-from capture_sim.base.software import scene_hash
-from capture_sim.run.lazy import Lazy
-from capture_sim.run.verdict import (
-    LiveConditions,
-)
+from capture_sim.base.software import scene_hash, software_versions
 from capture_sim.scene.loading import overrides_of
 
 if TYPE_CHECKING:
@@ -31,17 +27,21 @@ class Origin:
     """Origin of a run: its source, scene, overrides and software."""
 
     path: str = ""  # of the recording; empty for a run of :func:`capture_sim.simulate`
-    # that made it, ``"name version"`` each; asks git, which takes as long as a run
-    software: Lazy[tuple[str, ...]] = Lazy(tuple)
+    recorded_software: tuple[str, ...] | None = None  # None: the run was made by this process
     # of the recorded scene, as the version that recorded it wrote it: a scene gains fields; empty
     # for a run of :func:`capture_sim.simulate`
     scene_sha256: str = ""
     release: Release = Release.STAMP
     after_first_pose: float = 0.0  # s, of the release
-    # used by the live detector
-    live: Lazy[LiveConditions] = Lazy(lambda: LiveConditions(is_simulated=True))
     problems: tuple[str, ...] = ()  # why the recording is incomplete, one line each
     left_out: tuple[str, ...] = ()  # topics that cannot be read, one line each
+
+    @property
+    def software(self) -> tuple[str, ...]:
+        """What made the run, ``"name version"`` each; asking git takes as long as a run."""
+        if self.recorded_software is not None:
+            return self.recorded_software
+        return tuple(software_versions())
 
 
 def scene_origin(scene: Scene, sha256: str = "") -> dict[str, Any]:

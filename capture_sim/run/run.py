@@ -1,37 +1,30 @@
-"""The one run: of :func:`capture_sim.simulate`, of a recording, or of a real bench's bag.
+"""A run of :func:`capture_sim.simulate`, of a recording, or of a real bench's bag.
 
-Detection, comparison, fits, plots, reports and tables accept it, whatever it comes from.
+Detection, comparison, fits, plots, reports and tables accept a :class:`Run`, whatever it comes
+from.  It is an :class:`ExactRun` if the full state is known, else a :class:`MeasuredRun`.
 """
 
 from __future__ import annotations
 
 import html
 import importlib
-from collections.abc import Callable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
 from capture_sim.detection.criteria import CaptureStatus
-from capture_sim.dynamics.samples import (
-    ENERGIES,
-    SAMPLE,
-    TOUCH,
-    TRACE,
-    Event,
-    EventKind,
-    Extremes,
-)
+from capture_sim.dynamics.samples import ENERGIES, Event, EventKind, Extremes
 from capture_sim.errors import RecordingError, SceneError
-from capture_sim.plausibility.measured import Measured
 from capture_sim.plausibility.motion import LEAST_DEFLECTION
 from capture_sim.plausibility.rules import Doubt, Grade
 from capture_sim.plausibility.signals import onset
 from capture_sim.run.doubts import CountedSeries, doubts_of, refuse, remaining
 from capture_sim.run.frames import Table, events_frame, samples_frame, topic_frame, touches_frame
-from capture_sim.run.lazy import Deferred, Lazy
+from capture_sim.run.given import Given, Integrated
 from capture_sim.run.loads import loads_of, sampled_extremes, with_closest
 from capture_sim.run.origin import Origin, scene_origin
 from capture_sim.run.reconstruction import (
@@ -41,7 +34,7 @@ from capture_sim.run.reconstruction import (
     touches_in_force,
     touches_in_samples,
 )
-from capture_sim.run.series import NO_SERIES, STATE, Series, SeriesBySource
+from capture_sim.run.series import NO_SERIES, STATE, Series
 from capture_sim.run.summary import end_and_residual, sample_rate, summarize
 from capture_sim.run.summary_table import heads
 from capture_sim.run.summary_table import rows as table_rows
@@ -54,7 +47,6 @@ from capture_sim.run.touches import (
     located,
 )
 from capture_sim.run.verdict import (
-    Received,
     as_cut,
     detect_received,
     detect_state,
@@ -66,8 +58,9 @@ if TYPE_CHECKING:
     import pandas
 
     from capture_sim.dynamics.bench import Statistics
+    from capture_sim.run.series import SeriesBySource
     from capture_sim.scene.launch_plan import LaunchPlan
-    from capture_sim.scene.parts import Detector, Scene
+    from capture_sim.scene.parts import Scene
 
 #: A force and the buffer show the same contact within this, s.
 MAX_CONFIRMED = 0.1
@@ -91,11 +84,7 @@ class Check:
     failure: str = ""  # reason why the second run stopped early; the error is infinite from there
 
 
-class Integrated(NamedTuple):
-    """What the integration of a simulated run knows without its samples."""
-
-    t_end: float  # s, of the last sample at run.rate
-    energy_residual: float  # J, largest residual of the energy ledger at run.rate
+R = TypeVar("R", bound="Run")
 
 
 class FirstContact(NamedTuple):
@@ -105,46 +94,23 @@ class FirstContact(NamedTuple):
     source: str  # topic that shows it
 
 
-def _empty(dtype: np.dtype) -> Callable[[], np.ndarray]:
-    return lambda: np.zeros(0, dtype)
-
-
 @dataclass(frozen=True, repr=False, eq=False)
-class Run:
+class Run(ABC):
     """One run, whatever it comes from; times are s since the release, units SI.
 
-    A field is empty or None if it is not known of the run.  The properties ``samples``,
-    ``touches``, ``events``, ``statuses``, ``loads`` and ``summary`` are computed from the fields,
-    once, and exist for every run that has a scene and poses.
+    What the source of a run gives is in ``given``, empty where it gives nothing.  The properties of
+    the same names on the run itself (``scene``, ``samples``, ``touches``, ``events``, ``statuses``
+    and ``extremes``), ``loads`` and ``summary`` exist for every run that has a scene and poses:
+    they are what is given, or else they are computed from it, once.
 
     Attributes
     ----------
     name : str
         Name of the run.
+    given : Given
+        What the integration, the recording or the loop gives, e.g. ``given.series``.
     origin : Origin
         Where the run comes from, and what made it.
-    state : ndarray (n,) of dtype SAMPLE
-        Exact samples of the full state, as simulated; units as in msg/BenchState.msg.
-    series : mapping of mappings of Series
-        Series by quantity and source, e.g. ``series["chaser"]["chaser/odom"]``.
-    located_touches : ndarray (m,) of dtype TOUCH
-        Touches of a wall, each from its located start to its located end.
-    logged_events : sequence of Event
-        Events in order, each with time and state.
-    received : sequence of Received or None
-        Measurements for the detector, as they arrived; None to use the series.
-    reported_statuses : sequence of CaptureStatus
-        Statuses that a detector reported during the run.
-    criteria : Detector or None
-        Criteria of that detector.
-    located_extremes : Extremes or None
-        Peak loads by the integrator's own steps, before and after the latch closes.
-    trace : ndarray (k,) with the fields of TRACE
-        Contact at the ends of the integrator's steps; empty unless requested (``run.trace``).
-    plan : LaunchPlan or None
-        Launch as commanded; None if none was recorded.
-    tables : mapping of Table
-        Recorded topics by name, as columns with units.
     wall_time : float or None
         Wall time of the run, s.
     statistics : Statistics or None
@@ -153,52 +119,43 @@ class Run:
         Comparison with a more accurate run; None without ``check=True``.
     failure : str
         Reason why the simulation stopped early; empty for a complete run.
-    evidence : sequence of Measured
-        What sensors have measured, for the rules of plausibility; empty for a simulated run.
     waived : sequence of str
-        Names of rules that are not checked.
-    integrated : Integrated or None
-        What the integration of a simulated run knows without its samples.
+        Names of rules of plausibility that are not checked.
 
     Examples
     --------
     >>> from capture_sim import simulate
-    >>> simulate("paper_designed", {"buffer.c_A": 20}, t_end=0.5)
+    >>> run = simulate("paper_designed", {"buffer.c_A": 20}, t_end=0.5)
+    >>> run
     Run(paper_designed: undecided, 6 touches, peak 131.6 N, 501 samples to 0.5 s)
+    >>> [round(float(force), 1) for force in run.touches["peak_force"][:3]]  # N
+    [131.6, 85.9, 53.0]
+    >>> round(run.loads["max_normal_force"], 1), run.q.shape
+    (131.6, (501, 8))
     """
 
     name: str
+    given: Given = field(default_factory=Given)
     origin: Origin = field(default_factory=Origin)
-    given_scene: Scene | None = None
-    state: Lazy[np.ndarray] = Lazy(_empty(SAMPLE))
-    series: Lazy[SeriesBySource] = Lazy(dict)
-    located_touches: Lazy[np.ndarray] = Lazy(_empty(TOUCH))
-    logged_events: Lazy[Sequence[Event]] = Lazy(tuple)
-    received: Lazy[Sequence[Received] | None] = Lazy(lambda: None)
-    reported_statuses: Lazy[Sequence[CaptureStatus]] = Lazy(tuple)
-    criteria: Lazy[Detector | None] = Lazy(lambda: None)
-    located_extremes: Lazy[Extremes | None] = Lazy(lambda: None)
-    trace: Lazy[np.ndarray] = Lazy(_empty(TRACE))
-    plan: Lazy[LaunchPlan | None] = Lazy(lambda: None)
-    tables: Lazy[Mapping[str, Table]] = Lazy(dict)
     wall_time: float | None = None
     statistics: Statistics | None = None
     check: Check | None = None
     failure: str = ""
-    evidence: Lazy[Sequence[Measured]] = Lazy(tuple)
     waived: Sequence[str] = ()
-    integrated: Lazy[Integrated | None] = Lazy(lambda: None)
+
+    #: True if the full state is known; False for a run known from measurements alone.
+    is_exact: ClassVar[bool]
 
     # what made it
 
     @property
     def scene(self) -> Scene:
         """Scene of the run; SceneError if it is not known."""
-        if self.given_scene is None:
+        if self.given.scene is None:
             raise SceneError(
                 f"{self.origin.path or self.name}: contains no scene: give it with --scene"
             )
-        return self.given_scene
+        return self.given.scene
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -211,32 +168,52 @@ class Run:
         """True if the run ended as planned and no message of it was lost."""
         return not self.problems
 
-    @property
-    def is_exact(self) -> bool:
-        """True if the full state is known; False for a run known from measurements alone."""
-        # samples that are not computed yet are not computed for this
-        is_simulated = self.__dict__["integrated"] is not None
-        return (is_simulated and isinstance(self.__dict__["state"], Deferred)) or bool(
-            self.state.size
-        )
+    def replaced(self: R, **changes: Any) -> R:
+        """Return the run with other attributes, its own ones or those of ``given``.
 
-    def replaced(self, **changes: Any) -> Run:
-        """Return the run with changed fields; topics that are not yet decoded stay so."""
-        kept = {f.name: self.__dict__[f.name] for f in fields(self)}
-        if "given_scene" in changes and "origin" not in changes:
-            changes = {**changes, "origin": replace(self.origin, scene_sha256="")}
-        run = Run(**{**kept, **changes})
-        if "doubts" in self.__dict__ and not changes.keys() & {"evidence", "given_scene", "waived"}:
-            run.__dict__["doubts"] = self.doubts  # known already
+        A topic that is not yet decoded stays so.
+        """
+        own = {f.name for f in fields(self)}
+        of_source = {name: value for name, value in changes.items() if name not in own}
+        changes = {name: value for name, value in changes.items() if name in own}
+        if of_source:
+            changes["given"] = self.given.replaced(**of_source)
+        if "scene" in of_source and "origin" not in changes:
+            changes["origin"] = replace(self.origin, scene_sha256="")
+        run = replace(self, **changes)
+        if "doubts" in vars(self) and not {*of_source, *changes} & {"evidence", "scene", "waived"}:
+            vars(run)["doubts"] = self.doubts  # not looked for a second time
         return run
 
     @cached_property
     def made_by(self) -> dict[str, Any]:
         """How the run was made: source, scene, overrides, hash of the scene, seed, software."""
         made_by: dict[str, Any] = {"source": self.origin.path or "simulated"}
-        if self.given_scene is not None:
-            made_by |= scene_origin(self.given_scene, self.origin.scene_sha256)
+        if self.given.scene is not None:
+            made_by |= scene_origin(self.given.scene, self.origin.scene_sha256)
         return {**made_by, "software": list(self.origin.software)}
+
+    # what is given, and nothing else
+
+    @property
+    def series(self) -> SeriesBySource:
+        """Series by quantity and source, e.g. ``series["chaser"]["chaser/odom"]``."""
+        return self.given.series
+
+    @property
+    def plan(self) -> LaunchPlan | None:
+        """Launch as commanded; None if none was recorded."""
+        return self.given.plan
+
+    @property
+    def tables(self) -> Mapping[str, Table]:
+        """Recorded topics by name, as columns with units; empty for a simulated run."""
+        return self.given.tables
+
+    @property
+    def trace(self) -> np.ndarray:
+        """Contact at the ends of the integrator's steps, (k,); empty unless ``run.trace`` asks."""
+        return self.given.trace
 
     # measurements
 
@@ -246,7 +223,7 @@ class Run:
 
         The one call for all that judges or fits is :func:`checked`.
         """
-        return doubts_of(self.evidence, self.given_scene, self.waived)
+        return doubts_of(self.given.evidence, self.given.scene, self.waived)
 
     def measured(self, quantity: str) -> Series:
         """Return the series of a quantity: of its first sensor, else of the exact state."""
@@ -256,16 +233,10 @@ class Run:
                 return sources[name]
         return NO_SERIES
 
-    @cached_property
+    @property
+    @abstractmethod
     def cone_force(self) -> Series:
         """Force on the tip in the cone's axes, (n, 2), N; empty if it was not measured."""
-        if self.is_exact:
-            force = self.state["contact_force"] + self.state["latch_force"]
-            return Series(self.state["t"], _turned(force, -self.state["q"][:, 7]))
-        series = self.measured("tip_force")
-        if not series.t.size:
-            return self.measured("cone_force")
-        return series._replace(values=_turned(series.values, self._attitude(series.t)))
 
     @cached_property
     def first_contact(self) -> FirstContact | None:
@@ -273,7 +244,7 @@ class Run:
 
         A force that begins where poses allow no contact does not count.
         """
-        for event in self.logged_events:
+        for event in self.given.events:
             if event.kind is EventKind.TOUCH:
                 return FirstContact(event.t, EVENTS)
         for source, in_touch in self.series.get("in_touch", {}).items():
@@ -295,7 +266,7 @@ class Run:
         sample above the noise.
         """
         first = first_above(force.t, force.values)
-        buffer = self._contact_of_buffer if self.evidence else None
+        buffer = self._contact_of_buffer if self.given.evidence else None
         if first is None or buffer is None or abs(first - buffer.t) < MAX_CONFIRMED:
             return first
         size = np.hypot(*(force.values - np.median(force.values, axis=0)).T)
@@ -308,7 +279,7 @@ class Run:
         stroke, torsion = self.measured("stroke"), self.measured("torsion")
         if self.is_exact or stroke.t.size < MIN_SAMPLES or torsion.t.size != stroke.t.size:
             return None
-        length = 0.2 if self.given_scene is None else self.given_scene.rest_length
+        length = 0.2 if self.given.scene is None else self.given.scene.rest_length
         moved = np.column_stack([stroke.values, length * torsion.values])
         found = onset(stroke.t, moved, LEAST_DEFLECTION)
         source = next(iter(self.series["stroke"]))
@@ -322,8 +293,8 @@ class Run:
         force, whichever has more messages.  The first touch that is not resolved ends the list.
         Peaks are those of the normal force; without a scene those of the magnitude.
         """
-        if self.located_touches.size:
-            return located(self.located_touches), EVENTS
+        if self.given.touches.size:
+            return located(self.given.touches), EVENTS
         candidates = [
             (series.t.size, quantity, source, series)
             for quantity in ("in_touch", "tip_force", "cone_force")
@@ -350,10 +321,10 @@ class Run:
 
     def _touches_in(self, force: Series, *, is_turned: bool) -> Touches | None:
         """Return the touches in a force in the tip's axes, or else in the cone's."""
-        if self.given_scene is None:
+        if self.given.scene is None:
             return in_force(force.t, force.values)
         attitude = self._attitude(force.t) if is_turned else np.zeros(force.t.size)
-        return in_force(force.t, force.values, attitude, self.given_scene.cone)
+        return in_force(force.t, force.values, attitude, self.given.scene.cone)
 
     def _attitude(self, t: np.ndarray) -> np.ndarray:
         """Return the tip's attitude in the cone, (n,), rad; unmeasured angles count as 0."""
@@ -367,67 +338,25 @@ class Run:
 
     # derived
 
-    @cached_property
+    @property
+    @abstractmethod
     def samples(self) -> np.ndarray:
         """Samples (n,) of dtype SAMPLE: the exact state, else the measurements.
 
-        Measured samples are at the stamps of the chaser's poses; quantities that were not measured
+        Measured ones are at the stamps of the chaser's poses; quantities that were not measured
         are NaN.  SceneError without a scene, RecordingError without poses of both vehicles or
         without the buffer's state.
         """
-        if self.is_exact:
-            return self.state
-        scene = self.scene
-        self._check_poses()
-        return measured_samples(
-            scene, self.measured("chaser").t, self._sensors, self._touches_in_samples
-        )
 
-    def _check_poses(self) -> None:
-        where = self.origin.path or self.name
-        for vehicle in ("chaser", "target"):
-            if not self.measured(vehicle).t.size:
-                raise RecordingError(
-                    f"{where}: contains no finite pose of the {vehicle} "
-                    f"(/motion_capture/{vehicle} or /{vehicle}/odom); --remap reads it from "
-                    "another topic"
-                )
-        if not self.measured("stroke").t.size or not self.measured("torsion").t.size:
-            raise RecordingError(
-                f"{where}: contains neither /bench/buffer nor /joint_states with buffer_hinge and "
-                "buffer_slide, so the position of the tip is unknown"
-            )
-
-    @cached_property
-    def _sensors(self) -> dict[str, Series]:
-        """The series that samples are made of."""
-        return {name: self.measured(name) for name in self.series}
-
-    @cached_property
-    def _touches_in_samples(self) -> Touches | None:
-        """The touches between measured samples, if a force shows all of them."""
-        if self.located_touches.size:
-            return located(self.located_touches)
-        if "in_touch" in self.series:
-            return None  # it has walls and counts
-        touches, _ = self.resolved_touches
-        return touches if touches is not None and touches.all_found else None
-
-    @cached_property
+    @property
+    @abstractmethod
     def touches(self) -> np.ndarray:
         """Every touch, (m,) of dtype TOUCH, by its end: located, else measured."""
-        if self.is_exact or self.located_touches.size:
-            return self.located_touches
-        if self._touches_in_samples is not None:
-            return touches_in_force(self._touches_in_samples)
-        return touches_in_samples(self.samples, self._sensors)
 
-    @cached_property
+    @property
+    @abstractmethod
     def events(self) -> Sequence[Event]:
         """Events in order: as logged, else a touch for each that was measured."""
-        if self.logged_events or self.is_exact:
-            return self.logged_events
-        return events_of(self.scene, self.samples, self.touches, self._sensors)
 
     @cached_property
     def statuses(self) -> Sequence[CaptureStatus]:
@@ -436,20 +365,20 @@ class Run:
         Empty if none was reported and a rule of grade *refused* is broken.  A recording that ended
         before its detector's end is undecided.
         """
-        reported = self.reported_statuses
+        reported = self.given.statuses
         if not reported:
             is_refused = any(doubt.grade is Grade.REFUSED for doubt in self.doubts)
             return () if is_refused else detect(self)
-        if self.given_scene is None or self.__dict__["integrated"] is not None:
+        if self.given.scene is None or self.given.integrated is not None:
             return reported
-        last = as_cut(reported[-1], self.given_scene)
+        last = as_cut(reported[-1], self.given.scene)
         return reported if last is reported[-1] else [*reported[:-1], last]
 
     @cached_property
     def extremes(self) -> Extremes:
         """Peak loads: located, else from samples, touches and events."""
-        if self.located_extremes is not None:
-            return self.located_extremes
+        if self.given.extremes is not None:
+            return self.given.extremes
         return sampled_extremes(self.scene, self.samples, self.touches, self.events)
 
     @cached_property
@@ -461,7 +390,7 @@ class Run:
         and units.
         """
         loads = loads_of(self.extremes, self.touches)
-        if self.is_exact or self.located_extremes is not None or not self.statuses:
+        if self.is_exact or self.given.extremes is not None or not self.statuses:
             return loads
         last = self.statuses[-1]
         if last.nearest_deviation == 0.0:
@@ -476,7 +405,7 @@ class Run:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """Main results of the run, SI units; keys as in results.json."""
-        known = self.integrated
+        known = self.given.integrated
         if known is None:
             known = Integrated(*end_and_residual(self.samples, self.scene.run.rate))
         return summarize(
@@ -486,7 +415,7 @@ class Run:
             self.statuses[-1] if self.statuses else None,
             self.loads,
             loads_from="integration"
-            if self.located_extremes is not None
+            if self.given.extremes is not None
             else f"samples at {sample_rate(self.samples):.4g} Hz",
             energy_residual=known.energy_residual,
             simulated=known.t_end,
@@ -530,7 +459,7 @@ class Run:
     # output
 
     def __repr__(self) -> str:
-        if self.given_scene is None:
+        if self.given.scene is None:
             return f"Run({self.name}: without a scene)"
         peak = np.nan_to_num(self.touches["peak_force"]).max(initial=0.0)
         ends = [self.t.max(initial=0.0), *(event.t for event in self.events[-1:])]
@@ -610,6 +539,105 @@ class Run:
         return importlib.import_module("capture_sim").plot(self)
 
 
+class ExactRun(Run):
+    """A run whose full state is known: of a simulation, of its recording, or of a loop."""
+
+    is_exact = True
+
+    @cached_property
+    def cone_force(self) -> Series:
+        """Force on the tip in the cone's axes, (n, 2), N."""
+        force = self.samples["contact_force"] + self.samples["latch_force"]
+        return Series(self.samples["t"], _turned(force, -self.samples["q"][:, 7]))
+
+    @property
+    def samples(self) -> np.ndarray:
+        """Exact samples (n,) of dtype SAMPLE."""
+        return self.given.samples
+
+    @property
+    def touches(self) -> np.ndarray:
+        """Every located touch, (m,) of dtype TOUCH, by its end."""
+        return self.given.touches
+
+    @property
+    def events(self) -> Sequence[Event]:
+        """Events in order, as logged."""
+        return self.given.events
+
+
+class MeasuredRun(Run):
+    """A run known from what sensors have measured."""
+
+    is_exact = False
+
+    @cached_property
+    def cone_force(self) -> Series:
+        """Force on the tip in the cone's axes, (n, 2), N; empty if it was not measured."""
+        series = self.measured("tip_force")
+        if not series.t.size:
+            return self.measured("cone_force")
+        return series._replace(values=_turned(series.values, self._attitude(series.t)))
+
+    @cached_property
+    def samples(self) -> np.ndarray:
+        """Samples (n,) of dtype SAMPLE at the stamps of the chaser's poses.
+
+        Quantities that were not measured are NaN.
+        """
+        scene = self.scene
+        self._check_poses()
+        return measured_samples(
+            scene, self.measured("chaser").t, self._sensors, self._touches_in_samples
+        )
+
+    @cached_property
+    def touches(self) -> np.ndarray:
+        """Every touch, (m,) of dtype TOUCH, by its end: located, else measured."""
+        if self.given.touches.size:
+            return self.given.touches
+        if self._touches_in_samples is not None:
+            return touches_in_force(self._touches_in_samples)
+        return touches_in_samples(self.samples, self._sensors)
+
+    @cached_property
+    def events(self) -> Sequence[Event]:
+        """Events in order: as logged, else a touch for each that was measured."""
+        if self.given.events:
+            return self.given.events
+        return events_of(self.scene, self.samples, self.touches, self._sensors)
+
+    def _check_poses(self) -> None:
+        where = self.origin.path or self.name
+        for vehicle in ("chaser", "target"):
+            if not self.measured(vehicle).t.size:
+                raise RecordingError(
+                    f"{where}: contains no finite pose of the {vehicle} "
+                    f"(/motion_capture/{vehicle} or /{vehicle}/odom); --remap reads it from "
+                    "another topic"
+                )
+        if not self.measured("stroke").t.size or not self.measured("torsion").t.size:
+            raise RecordingError(
+                f"{where}: contains neither /bench/buffer nor /joint_states with buffer_hinge and "
+                "buffer_slide, so the position of the tip is unknown"
+            )
+
+    @cached_property
+    def _sensors(self) -> dict[str, Series]:
+        """The series that samples are made of."""
+        return {name: self.measured(name) for name in self.series}
+
+    @cached_property
+    def _touches_in_samples(self) -> Touches | None:
+        """The touches between measured samples, if a force shows all of them."""
+        if self.given.touches.size:
+            return located(self.given.touches)
+        if "in_touch" in self.series:
+            return None  # it has walls and counts
+        touches, _ = self.resolved_touches
+        return touches if touches is not None and touches.all_found else None
+
+
 def checked(run: Run) -> CountedSeries:
     """Return the series of a run that may be judged and fitted, and the doubts to print.
 
@@ -650,15 +678,15 @@ def detect(
         The run contains no scene.
     """
     if scene is None:
-        scene = with_criteria(run.scene, run.criteria, ())
+        scene = with_criteria(run.scene, run.given.criteria, ())
     has_noise = any(name.startswith("motion_capture/") for name in run.series.get("chaser", ()))
-    is_cut = run.origin.live.is_cut or bool(run.failure)
+    is_cut = run.given.live.is_cut or bool(run.failure)
     if run.is_exact and not has_noise and not from_series:
-        has_end = run.origin.live.has_end
-        return detect_state(run.state, scene, is_cut=is_cut, has_end=has_end)
+        has_end = run.given.live.has_end
+        return detect_state(run.given.samples, scene, is_cut=is_cut, has_end=has_end)
     checked(run)
-    live = run.origin.live._replace(is_cut=is_cut)
-    received = received_in(run.series) if run.received is None else run.received
+    live = run.given.live._replace(is_cut=is_cut)
+    received = received_in(run.series) if run.given.received is None else run.given.received
     return detect_received(received, scene, live)
 
 

@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from capture_sim.base.software import software_versions
+from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.detection.exact import Statuses
+from capture_sim.dynamics.bench import Bench
 from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.dynamics.drive import Control
 from capture_sim.dynamics.sample_times import check_times
 from capture_sim.dynamics.samples import EventKind
 from capture_sim.dynamics.thrust import Commands
 from capture_sim.errors import SceneError, SimulationError
+from capture_sim.run.given import Given, Integrated
 from capture_sim.run.integration import Integration, check_memory, kept
-from capture_sim.run.lazy import Deferred, LazyMapping
-from capture_sim.run.origin import Origin
-from capture_sim.run.run import Check, Integrated, Run
+from capture_sim.run.lazy import LazyMapping
+from capture_sim.run.run import Check, ExactRun, Run
 from capture_sim.run.sensors import sensor_series
 from capture_sim.run.series import QUANTITIES, STATE, Series, SeriesBySource, series_in
 from capture_sim.scene.files import Overrides, has_overrides
@@ -105,53 +105,31 @@ def simulate(
         scene = _with_run(scene, run)
     times = None if t_eval is None else check_times(t_eval, t_end=run.t_end)
     check_memory(run, run.t_end * run.state_rate if times is None else times.size)
+    if control is not None and times is not None:
+        raise SceneError("t_eval: must be None with a controller")
     compile_kernels()
-    samples: np.ndarray | Deferred[np.ndarray]
-    judged: Deferred[_Judged] | _Judged
+    (memory,) = kept.memories(1) if control is None and times is None else (None,)
+    integration = Integration(scene, memory)
+    start = time.perf_counter()
+    samples: np.ndarray | None = None
+    judged: _Judged | None = None
     if control is not None:
-        if times is not None:
-            raise SceneError("t_eval: must be None with a controller")
-        integration = Integration(scene)
-        start = time.perf_counter()
         samples, statuses = integration.controlled(control)
         judged = _judged_as(integration, statuses)
-        grid = Deferred(partial(np.asarray, samples))
     elif times is None:
-        (memory,) = kept.memories(1)
-        integration = Integration(scene, memory)
-        start = time.perf_counter()
         judged = _judged(integration)
-        end = judged.integrated.t_end
-        samples = grid = Deferred(partial(_grid_samples, scene, end))
     else:
-        integration = Integration(scene)
-        start = time.perf_counter()
         samples = integration.sample(times)
-        judged = Deferred(partial(_judged_again, scene))
-        grid = Deferred(partial(_grid_samples, scene, run.t_end))
     wall_time = time.perf_counter() - start
-    bench = integration.bench
-    is_noisy = scene.sensors is not None and scene.sensors.motion_capture is not None
-    result = Run(
-        name=scene.name,
-        origin=Origin(software=Deferred(software_versions)),
-        given_scene=scene,
-        state=samples,
-        series=Deferred(partial(_series_of, scene, samples, grid)),
-        located_touches=bench.touches,
-        logged_events=bench.event_log,
-        # of a noisy bench, the detector's own
-        reported_statuses=None if is_noisy else _of_judged(judged, "statuses"),
-        located_extremes=bench.extremes,
-        trace=bench.trace,
-        plan=bench.plan,
+    result = ExactRun(
+        scene.name,
+        GivenByIntegration(scene, integration.bench, samples, judged, is_on_grid=times is None),
         wall_time=wall_time,
-        statistics=bench.statistics,
+        statistics=integration.bench.statistics,
         failure=integration.failure,
-        integrated=_of_judged(judged, "integrated"),
     )
     if result.failure:
-        raise RunError(result.failure, result.state, result)
+        raise RunError(result.failure, result.samples, result)
     if not check:
         return result
     try:
@@ -220,16 +198,6 @@ def _judged_again(scene: Scene) -> _Judged:
     return _judged(Integration(_untraced(scene), memory))
 
 
-def _of_judged(judged: _Judged | Deferred[_Judged], name: str) -> Any:
-    if isinstance(judged, _Judged):
-        return getattr(judged, name)
-    return Deferred(partial(_read_judged, judged, name))
-
-
-def _read_judged(judged: Deferred[_Judged], name: str) -> Any:
-    return getattr(judged.value, name)
-
-
 def _untraced(scene: Scene) -> Scene:
     if not scene.run.trace:
         return scene
@@ -254,46 +222,98 @@ def _grid_samples(scene: Scene, end: float) -> np.ndarray:
     return Integration(_untraced(scene)).sample(_grid(scene, end))
 
 
-def _series_of(
-    scene: Scene, samples: np.ndarray | Deferred[np.ndarray], grid: Deferred[np.ndarray]
-) -> SeriesBySource:
-    """Return the series of exact samples and of the scene's simulated sensors.
+class GivenByIntegration(Given):
+    """What an integration gives of a run; samples, series and sensors are made when they are read.
 
-    The sensors read the samples of ``grid``, at ``run.state_rate``, when they are used.
+    ``samples``: those that were asked for, ``is_on_grid`` if at ``run.state_rate``; None to make
+    them by a second integration.  ``judged``: None to make it so.
     """
-    series: dict[str, dict[str, Callable[[], Series]]] = {}
 
-    def add(quantity: str, source: str, make: Callable[[], Series]) -> None:
-        series.setdefault(quantity, {})[source] = make
+    def __init__(
+        self,
+        scene: Scene,
+        bench: Bench,
+        samples: np.ndarray | None,
+        judged: _Judged | None,
+        *,
+        is_on_grid: bool,
+    ) -> None:
+        super().__init__(
+            scene=scene,
+            touches=bench.touches,
+            events=bench.event_log,
+            extremes=bench.extremes,
+            trace=bench.trace,
+            plan=bench.plan,
+        )
+        self._scene = scene
+        self._asked_for = samples
+        if samples is not None and is_on_grid:
+            vars(self)["_grid"] = samples
+        if judged is not None:
+            vars(self)["_judged"] = judged
 
-    exact = Deferred(partial(_series_in, samples))
-    for quantity in QUANTITIES:
-        add(quantity, STATE, partial(_of_quantity, exact, quantity))
-    if scene.sensors is not None:
-        sensed = Deferred(partial(_sensed, scene, grid))
-        periodic = Deferred(partial(_periodic, scene, grid))
-        for quantity in ("stroke", "torsion", "stroke_rate", "torsion_rate"):
-            add(quantity, "bench/buffer", partial(_of_quantity, periodic, quantity))
-        if scene.sensors.motion_capture is not None:
-            for vehicle in ("chaser", "target"):
-                add(vehicle, f"motion_capture/{vehicle}", partial(_of_quantity, sensed, vehicle))
-        if scene.sensors.load_cell is not None:
-            add("cone_force", "load_cell/wrench", partial(_of_quantity, sensed, "cone_force"))
-    return {quantity: LazyMapping(sources) for quantity, sources in series.items()}
+    @cached_property
+    def samples(self) -> np.ndarray:
+        """The samples that were asked for, else those at ``run.state_rate``."""
+        return self._grid if self._asked_for is None else self._asked_for
 
+    @cached_property
+    def _grid(self) -> np.ndarray:
+        """The samples at ``run.state_rate``."""
+        judged: _Judged | None = vars(self).get("_judged")
+        end = self._scene.run.t_end if judged is None else judged.integrated.t_end
+        return _grid_samples(self._scene, end)
 
-def _series_in(samples: np.ndarray | Deferred[np.ndarray]) -> dict[str, Series]:
-    return series_in(samples.value if isinstance(samples, Deferred) else samples)
+    @cached_property
+    def _judged(self) -> _Judged:
+        (memory,) = kept.memories(1)
+        return _judged(Integration(_untraced(self._scene), memory))
 
+    @cached_property
+    def statuses(self) -> Statuses | tuple[CaptureStatus, ...]:
+        """Statuses of the detector; empty of a noisy bench, whose detector reads its poses."""
+        sensors = self._scene.sensors
+        is_noisy = sensors is not None and sensors.motion_capture is not None
+        return () if is_noisy else self._judged.statuses
 
-def _sensed(scene: Scene, grid: Deferred[np.ndarray]) -> dict[str, Series]:
-    return sensor_series(scene, grid.value)
+    @cached_property
+    def integrated(self) -> Integrated:
+        """End and residual of the energy ledger."""
+        return self._judged.integrated
 
+    @cached_property
+    def series(self) -> SeriesBySource:
+        """Series of the exact samples, and of the scene's sensors, which read the grid's."""
+        made = {
+            quantity: {STATE: partial(self._made, "_exact", quantity)} for quantity in QUANTITIES
+        }
+        sensors = self._scene.sensors
+        if sensors is not None:
+            for quantity in ("stroke", "torsion", "stroke_rate", "torsion_rate"):
+                made[quantity]["bench/buffer"] = partial(self._made, "_periodic", quantity)
+            if sensors.motion_capture is not None:
+                for name in ("chaser", "target"):
+                    made[name][f"motion_capture/{name}"] = partial(self._made, "_sensed", name)
+            if sensors.load_cell is not None:
+                cell = partial(self._made, "_sensed", "cone_force")
+                made.setdefault("cone_force", {})["load_cell/wrench"] = cell
+        return {quantity: LazyMapping(sources) for quantity, sources in made.items()}
 
-def _periodic(scene: Scene, grid: Deferred[np.ndarray]) -> dict[str, Series]:
-    """Return the series of the samples at ``run.rate``."""
-    return series_in(grid.value[:: round(scene.run.state_rate / scene.run.rate)])
+    def _made(self, name: str, quantity: str) -> Series:
+        found: Series = getattr(self, name)[quantity]
+        return found
 
+    @cached_property
+    def _exact(self) -> dict[str, Series]:
+        return series_in(self._grid if self._asked_for is None else self._asked_for)
 
-def _of_quantity(series: Deferred[dict[str, Series]], quantity: str) -> Series:
-    return series.value[quantity]
+    @cached_property
+    def _sensed(self) -> dict[str, Series]:
+        return sensor_series(self._scene, self._grid)
+
+    @cached_property
+    def _periodic(self) -> dict[str, Series]:
+        """The series of the samples at ``run.rate``."""
+        run = self._scene.run
+        return series_in(self._grid[:: round(run.state_rate / run.rate)])

@@ -54,7 +54,7 @@ def agreement(recording: Run, simulation: Run) -> Agreement:
 
     A recording that ends early is compared up to its end.
     """
-    recorded, simulated = recording.state, simulation.state
+    recorded, simulated = recording.given.samples, simulation.given.samples
     index = np.searchsorted(simulated["t"], recorded["t"]).clip(max=max(len(simulated) - 1, 0))
     shared = np.zeros(len(recorded), bool)
     if len(simulated):
@@ -71,7 +71,7 @@ def agreement(recording: Run, simulation: Run) -> Agreement:
     end = recorded["t"].max(initial=-np.inf)
     until = end if end < simulated["t"].max(initial=-np.inf) else np.inf
     recorded_events, events = (
-        [(event.kind, event.t, event.wall) for event in run.logged_events if event.t <= until]
+        [(event.kind, event.t, event.wall) for event in run.given.events if event.t <= until]
         for run in (recording, simulation)
     )
     distinct = np.unique(index[shared]).size

@@ -83,7 +83,7 @@ def sides(a: Run, b: Run) -> tuple[Side, Side]:
         else:
             chosen_b[name] = next(iter(sources_b[name]))
     side_a, side_b = _side(a, sources_a, chosen_a), _side(b, sources_b, chosen_b)
-    if a.located_extremes is not None and b.located_extremes is not None:
+    if a.given.extremes is not None and b.given.extremes is not None:
         side_a, side_b = replace(side_a, loads=a.loads), replace(side_b, loads=b.loads)
     return _without_unresolved_touches(side_a, side_b), _without_unresolved_touches(side_b, side_a)
 
@@ -95,7 +95,7 @@ def characteristics(side: Side, *, sampled: bool = False) -> dict[str, RunFigure
     ``sampled`` adds the largest sample of the force, for a run whose other side has only that.
     """
     figures = {"first contact, s": RunFigure(side.contact, side.contact_source)}
-    touches = side.run.located_touches
+    touches = side.run.given.touches
     if touches.size:
         first = first_cluster(touches)
         for name, value in (
@@ -148,7 +148,7 @@ def _closest(side: Side) -> RunFigure | None:
     if math.isinf(deviation):
         return None
     error = f", +- {deviation * 1e3:.2f} mm" if deviation else ""
-    return RunFigure(distance, f"{CAPTURE_STATUS if run.reported_statuses else 'poses'}{error}")
+    return RunFigure(distance, f"{CAPTURE_STATUS if run.given.statuses else 'poses'}{error}")
 
 
 def _sources(run: Run) -> dict[str, dict[str, Series]]:

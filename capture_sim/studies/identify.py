@@ -123,7 +123,7 @@ def identify(
             raise SceneError(f"parameter {name}: given twice: must be given once")
     shared = [name for name in names if name != RELEASE and name not in STARTS]
     parameters = parameters_of(scene, shared) if shared or not names else ()
-    run = run.replaced(given_scene=scene)
+    run = run.replaced(scene=scene)
     run = run.replaced(series=checked(run).series)
     if not any(run.measured(name).t.size for name in PARTS):
         raise SceneError("nothing to fit to: the run holds no poses, stroke or torsion")

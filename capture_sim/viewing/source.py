@@ -209,7 +209,7 @@ def resolved(run: Run, window: tuple[float, float] | None = None) -> Run:
             "has; only its samples can be drawn"
         )
     # the detector evaluated the run's own samples
-    return run.replaced(state=again.state, reported_statuses=run.statuses)
+    return run.replaced(samples=again.samples, statuses=run.statuses)
 
 
 def resolved_or_not(run: Run) -> Run:

@@ -44,7 +44,7 @@ def test_a_fit_that_does_not_count_is_status_1_with_the_reason(trials, tmp_path,
     """A trial of another bench, described by the scene of the first one."""
     made = capture_sim.simulate("tilt_p10", {**SHORT, "buffer.k_A": 560.0})
     scene = capture_sim.load_scene("tilt_p10", SHORT)
-    other = write_run(made.replaced(given_scene=scene), tmp_path / "other.mcap")
+    other = write_run(made.replaced(scene=scene), tmp_path / "other.mcap")
     out = tmp_path / "bench"
     words = ["calibrate", trials[0], other, "--fit", "mu", "--out", out]
     assert main([str(word) for word in words]) == FAILED

@@ -87,7 +87,7 @@ def test_series_that_are_left_out_are_gone_and_others_are_not(scene, tmp_path):
 
 def test_a_simulated_run_needs_no_rules(scene):
     run = capture_sim.simulate("tilt_p10", t_end=0.1)
-    assert run.evidence == ()
+    assert run.given.evidence == ()
     assert checked(run) == (run.series, ())
 
 

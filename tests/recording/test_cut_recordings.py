@@ -85,7 +85,7 @@ def test_cut_recording_of_the_suite_is_undecided_as_its_detector_left_it(share, 
     path = write_run(capture_sim.simulate("tilt_p10"), tmp_path / "whole.mcap")
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
     run = read_run(path)
-    assert run.reported_statuses[-1].label == "contact"
+    assert run.given.statuses[-1].label == "contact"
     assert run.verdict == run.summary["verdict"] == "undecided"
     assert "the recording was cut" in run.statuses[-1].reason
     assert main(["detect", str(path)]) == 0

@@ -47,7 +47,7 @@ def recorded(run, tmp_path_factory):
 
 def as_drawn(path, scene, **options):
     run = read_run(path, scene=capture_sim.load_scene(scene), **options)
-    return run.replaced(given_scene=run.drawn_scene)
+    return run.replaced(scene=run.drawn_scene)
 
 
 @pytest.mark.parametrize(
@@ -204,7 +204,7 @@ def test_measurements_after_the_detectors_end_change_no_verdict(run, recorded, t
     assert (live[-1].label, live[-1].final) == ("undecided", True)
     longer = copied(recorded, tmp_path / "on.mcap", topics=topics, change=until(end + 0.5, live))
     again = detect(read_run(longer), scene)
-    reported = read_run(longer).reported_statuses[-1]
+    reported = read_run(longer).given.statuses[-1]
     # the live detector was told of the trial's end, which the first file lacks
     assert live[-1].reason.startswith("the recording was cut, with the tip 49")
     assert again[-1].reason.startswith("run ended before any contact, tip 49")

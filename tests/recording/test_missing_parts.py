@@ -226,7 +226,7 @@ def refusals(path: Path) -> dict[str, str]:
             return None
 
     run = tried("read", lambda: read_run(path))
-    if run is not None and run.given_scene is None:
+    if run is not None and run.given.scene is None:
         run = read_run(path, scene=SCENE)
     if run is not None:
         for command, core in CORES.items():

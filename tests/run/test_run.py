@@ -10,7 +10,8 @@ import pytest
 import capture_sim
 from capture_sim import SceneError, load_scene, read_run, simulate
 from capture_sim.recording.offline import write_run
-from capture_sim.run.run import Run, detect
+from capture_sim.run.given import Given
+from capture_sim.run.run import MeasuredRun, detect
 from capture_sim.run.series import Series
 from capture_sim.studies.executors import InProcess
 from capture_sim.studies.sweep import RTOL
@@ -29,7 +30,7 @@ def recorded(run, tmp_path_factory):
 
 
 def test_a_file_gives_what_the_call_gave(run, recorded):
-    assert recorded.state.tobytes() == run.state.tobytes()
+    assert recorded.samples.tobytes() == run.samples.tobytes()
     assert [(e.kind, e.t, e.wall) for e in recorded.events] == [
         (e.kind, e.t, e.wall) for e in run.events
     ]
@@ -96,9 +97,8 @@ def test_a_load_cell_alone_shows_touches_by_their_normal_force():
         np.array([np.cos(beta), -np.sin(beta)]),
     )
     force = size[:, None] * (normal + 0.3 * along)
-    run = Run(
-        "rig", given_scene=scene, series={"cone_force": {"load_cell/wrench": Series(t, force)}}
-    )
+    series = {"cone_force": {"load_cell/wrench": Series(t, force)}}
+    run = MeasuredRun("rig", Given(scene=scene, series=series))
     touches, source = run.resolved_touches
     assert source.startswith("load_cell/wrench, 1000 Hz")
     assert touches.wall.tolist() == [1.0]
@@ -109,7 +109,7 @@ def test_a_load_cell_alone_shows_touches_by_their_normal_force():
 
 
 def test_a_run_without_a_scene_says_how_to_give_one(recorded):
-    bare = recorded.replaced(given_scene=None)
+    bare = recorded.replaced(scene=None)
     with pytest.raises(SceneError, match="contains no scene: give it with --scene"):
         _ = bare.scene
     assert bare.measured("chaser").t.size
@@ -119,7 +119,7 @@ def test_a_run_without_a_scene_says_how_to_give_one(recorded):
 def test_a_run_is_sent_to_another_process(run, recorded):
     for each in (run, recorded, simulate("tilt_0", NOISY, t_eval=[0.0, 1.0])):
         sent = pickle.loads(pickle.dumps(each))
-        assert sent.state.tobytes() == each.state.tobytes()
+        assert sent.samples.tobytes() == each.samples.tobytes()
         assert sent.verdict == each.verdict
 
 

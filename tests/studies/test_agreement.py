@@ -21,7 +21,7 @@ def test_simulated_again_a_run_is_identical_and_a_difference_is_found(
     assert "bit-identical" in capsys.readouterr().out
     changed = result.samples.copy()
     changed["q"][4321, 5] = np.nextafter(changed["q"][4321, 5], 1.0)
-    found = agreement(result, result.replaced(state=changed, logged_events=result.events[:-1]))
+    found = agreement(result, result.replaced(samples=changed, events=result.events[:-1]))
     (difference,) = found.differences
     assert (difference.name, difference.first) == ("q", 4.321)
     assert 0.0 < difference.largest < 1e-15
@@ -49,14 +49,14 @@ def test_samples_of_another_run_are_foreign(result):
     other = result.samples[1000:1958].copy()
     other["t"] += 2e-4
     for mixed in (np.concatenate([result.samples, other]), result.samples[[0, 1, 1, 2]]):
-        found = agreement(result.replaced(state=mixed), result)
+        found = agreement(result.replaced(samples=mixed), result)
         assert found.foreign == (958 if mixed.size > 4 else 1)
         assert not found.identical
-    cut = agreement(result.replaced(state=result.state[:500], logged_events=()), result)
+    cut = agreement(result.replaced(samples=result.samples[:500], events=()), result)
     assert (cut.compared, cut.foreign, cut.missing) == (500, 0, 0)
-    lossy = agreement(result.replaced(state=result.state[::2]), result)
+    lossy = agreement(result.replaced(samples=result.samples[::2]), result)
     assert lossy.missing == lossy.compared - 1
-    assert not agreement(result.replaced(state=result.state[:0]), result).identical
+    assert not agreement(result.replaced(samples=result.samples[:0]), result).identical
 
 
 def test_a_recording_with_foreign_samples_is_not_identical(path, tmp_path, capsys):

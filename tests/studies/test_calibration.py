@@ -208,7 +208,7 @@ def test_an_interrupted_fit_is_the_state_so_far_and_says_so():
         (lambda t: t, ("initial.chaser.y",), "is of one trial, and always fitted"),
         (lambda t: [], None, "trials: must be one run or more"),
         (
-            lambda t: [t[0], t[1].replaced(given_scene=changed(t[1].scene, "cone.R_c", 0.016))],
+            lambda t: [t[0], t[1].replaced(scene=changed(t[1].scene, "cone.R_c", 0.016))],
             None,
             "trial 1: cone.R_c = 0.016, in trial 0 0.015: must be trials of one bench",
         ),
@@ -240,7 +240,7 @@ def test_fewer_measurements_than_parameters_are_refused():
 
 def test_a_scene_that_fails_at_the_start_is_refused():
     run = two_trials()[0]
-    broken = run.replaced(given_scene=changed(run.scene, "run.max_steps", 100))
+    broken = run.replaced(scene=changed(run.scene, "run.max_steps", 100))
     with pytest.raises(SceneError, match="trial 0: cannot be simulated at the start"):
         calibrate([broken], NAMES)
 

@@ -12,7 +12,8 @@ import capture_sim
 from capture_sim.dynamics.bench import Bench
 from capture_sim.dynamics.samples import TOUCH
 from capture_sim.errors import SceneError
-from capture_sim.run.run import Run
+from capture_sim.run.given import Given
+from capture_sim.run.run import MeasuredRun
 from capture_sim.run.series import STATE, Series, series_in
 from capture_sim.run.touches import located
 from capture_sim.studies.calibration.trial import scatter
@@ -69,7 +70,7 @@ def test_any_number_of_the_scene():
         scene, buffer=dataclasses.replace(scene.buffer, k_A=530.0, k_T=190.0)
     )
     exact = series_in(Bench(true).advance(t))
-    run = Run(HERE, series={name: {STATE: series} for name, series in exact.items()})
+    run = MeasuredRun(HERE, Given(series={name: {STATE: one} for name, one in exact.items()}))
     fit = identify(scene, run, ("buffer.k_A", "buffer.k_T"))
     assert fit.values == pytest.approx([530.0, 190.0], rel=1e-4)
     assert fit.scene.buffer.k_A == fit.values[0]
@@ -131,4 +132,4 @@ def test_touches_behind_the_end_do_not_count():
 def test_what_cannot_be_fitted_to_is_refused(touches, said):
     found = None if touches is None else located(touches).with_noise(0.0, 2.0)
     with pytest.raises(SceneError, match=said):
-        identify(capture_sim.load_scene(HERE), Run(HERE), ["mu"], touches=found)
+        identify(capture_sim.load_scene(HERE), MeasuredRun(HERE), ["mu"], touches=found)

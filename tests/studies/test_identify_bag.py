@@ -147,7 +147,7 @@ def test_release_is_fitted_with_the_rest():
 def sampled(run, rng):
     """Return the touches in a force at 20 kHz, whose cell has a clock of its own, 1 ms late."""
     series = {**run.run.series, "tip_force": {"a sensor": tip_force(run, rng)}}
-    touches, _ = run.run.replaced(given_scene=run.scene, series=series).resolved_touches
+    touches, _ = run.run.replaced(scene=run.scene, series=series).resolved_touches
     return touches.later(1e-3)
 
 
@@ -181,7 +181,7 @@ def test_the_restitution_is_not_biased_by_the_filter_of_a_load_cell():
         run = noisy_run("tilt_0", seed, true=(0.001, 0.6, 0.33, 13.0))
         force = cell_force(run, np.random.default_rng(seed), bandwidth=6e3)
         series = {**run.run.series, "cone_force": {"a sensor": force}}
-        touches, _ = run.run.replaced(given_scene=run.scene, series=series).resolved_touches
+        touches, _ = run.run.replaced(scene=run.scene, series=series).resolved_touches
         fit = identify(run.scene, run.run, NAMES, touches=touches.of(slice(4)), starts=1)
         off.append(((fit.values - run.true) / fit.errors)[NAMES.index("e")])
     assert abs(np.mean(off)) < 3.0 / np.sqrt(len(off))

@@ -88,7 +88,7 @@ def test_topic_of_another_type_is_not_taken_for_the_benchs(path, tmp_path, capsy
     odd = read_run(folder)  # a foreign topic hinders only what needs it
     assert odd.origin.left_out[1].startswith("/bench/state: left out: type = geometry_msgs")
     assert odd.measured("chaser").t.size == 9
-    assert odd.state.size == 0
+    assert odd.given.samples.size == 0
 
 
 def test_export_of_a_foreign_bag_leaves_out_what_makes_no_table(tmp_path, capsys):

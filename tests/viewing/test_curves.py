@@ -104,7 +104,7 @@ def test_a_resolved_run_is_the_same_motion_with_samples_in_every_touch(undamped)
 def test_a_run_of_other_touches_is_not_resolved_but_drawn_as_it_was_sampled(undamped):
     altered = undamped.touches.copy()
     altered["start"][3] += 1e-3
-    other = undamped.replaced(located_touches=altered)
+    other = undamped.replaced(touches=altered)
     with pytest.raises(CaptureSimError, match="other touches"):
         resolved(other)
     assert resolved_or_not(other) is other

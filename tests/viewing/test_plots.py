@@ -158,10 +158,10 @@ def test_a_touch_in_which_the_run_ended_is_drawn_to_its_end():
     longest = whole.touches[np.argmax(whole.touches["end"] - whole.touches["start"])]
     until = 0.5 * (longest["start"] + longest["end"])
     ended = whole.replaced(
-        state=whole.samples[whole.samples["t"] <= until],
-        located_touches=whole.touches[whole.touches["end"] <= until],
-        logged_events=[event for event in whole.events if event.t <= until],
-        reported_statuses=[status for status in whole.statuses if status.t <= until],
+        samples=whole.samples[whole.samples["t"] <= until],
+        touches=whole.touches[whole.touches["end"] <= until],
+        events=[event for event in whole.events if event.t <= until],
+        statuses=[status for status in whole.statuses if status.t <= until],
     )
     last = ended.samples["t"][-1]
     unfinished = every_touch(ended)[-1]

@@ -128,7 +128,7 @@ def test_stated_errors_are_of_the_run_and_small(text, runs):
 def test_a_recording_that_was_altered_is_not_stated_as_reproduced(runs, folder):
     samples = runs[0].samples.copy()
     samples["q"][1000, 0] += 1e-6
-    statement = error_statement(runs[0].replaced(state=samples))
+    statement = error_statement(runs[0].replaced(samples=samples))
     assert "the same states to 1.0e-06 m and rad" in statement
 
 

@@ -97,7 +97,7 @@ def agreement_of(run: Run, calibrated: Calibrated, placement: Placement) -> Tria
     for path in calibrated.fields:
         if get(scene, path) is None:
             raise SceneError(f"{calibrated.path}: {path}: the scene of the trial has no such value")
-    run = run.replaced(given_scene=with_values(scene, calibrated.fields))
+    run = run.replaced(scene=with_values(scene, calibrated.fields))
     run = run.replaced(series=checked(run).series)
     trial = trial_of(run, is_release_fitted=scene.string is not None)
     known = _parameters(run, calibrated)

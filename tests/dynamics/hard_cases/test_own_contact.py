@@ -127,7 +127,7 @@ def test_the_stiffness_of_the_materials_given_by_number_changes_nothing():
     scene = load_scene("tilt_p10")
     given = {"contact.stiffness": scene.contact_stiffness}
     same = simulate(scene, given)
-    assert np.array_equal(same.state["q"], simulate(scene).state["q"])
+    assert np.array_equal(same.samples["q"], simulate(scene).samples["q"])
 
 
 # measured curves
