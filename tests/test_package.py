@@ -180,3 +180,32 @@ def test_installed_data_is_found(tmp_path, layout):
     found = subprocess.check_output(command, cwd=package.parent, text=True)
     share = tmp_path / "share" / "capture_sim"
     assert found.split() == [str(share / "config"), str(share / "msg")]
+
+
+def numbers_without_reason(path):
+    """Return the numeric constants of a module that have no comment: on, in or above them."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    found, commented = [], 0  # last line of the constants that share a comment
+    for node in ast.parse("\n".join(lines)).body:
+        if not isinstance(node, ast.Assign):
+            continue
+        begin, end = node.lineno - 1, node.end_lineno  # from 0, without the end
+        own = any("#" in line for line in lines[begin:end])
+        if own or lines[begin - 1].startswith("#") or begin == commented:
+            commented = end
+            continue
+        names = [leaf.id for leaf in ast.walk(node.targets[0]) if isinstance(leaf, ast.Name)]
+        kinds = (ast.Constant, ast.Tuple, ast.UnaryOp, ast.BinOp, ast.unaryop, ast.operator)
+        is_number = all(
+            isinstance(leaf, (*kinds, ast.expr_context)) for leaf in ast.walk(node.value)
+        )
+        numbers = [leaf.value for leaf in ast.walk(node.value) if isinstance(leaf, ast.Constant)]
+        if is_number and any(type(number) in (int, float) for number in numbers):
+            found.append(f"{path.name}: {', '.join(names)}")
+    return found
+
+
+def test_every_number_has_its_reason_beside_it():
+    """A constant of a module, or a group of them, has a comment: what it is, and why so much."""
+    modules = sorted(Path(capture_sim.__file__).parent.rglob("*.py"))
+    assert [line for path in modules for line in numbers_without_reason(path)] == []

@@ -40,6 +40,7 @@ from capture_sim.scene.loading import check_scene
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import refuse, shown
 
+#: Entries of a trace per call into the engine: a full one costs a further call.
 _TRACE_ROOM = 1024
 
 #: Why the engine cannot continue, by its status.
@@ -75,6 +76,7 @@ class Checkpoint(NamedTuple):
     last_time: float
 
 
+#: In place of a trace that nobody asked for.
 _NO_TRACE = np.zeros(0, SAMPLE)
 
 

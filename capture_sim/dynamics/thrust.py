@@ -17,6 +17,7 @@ BodyWrench = tuple[float, float, float]
 #: What a controller commands, for chaser and target; None: no new command.
 Commands = tuple[Sequence[float] | None, Sequence[float] | None]
 
+#: The wrench of a vehicle whose thrusters are off.
 NO_THRUST: BodyWrench = (0.0, 0.0, 0.0)
 
 

@@ -151,6 +151,7 @@ class WallLaw:
         return returned_restitution(self.damping * speed / self.stiffness)
 
 
+#: A wall without stiffness: its force comes from the rig.
 NO_LAW = WallLaw(0.0)
 
 

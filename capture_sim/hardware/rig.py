@@ -73,6 +73,7 @@ class Transport:
     doubles: float = quantity("1", _SHARE, default=0.001, doc="share of wrenches that come twice")
 
 
+#: A rig without delay, noise, lag and loss: what is left is the loop's own error.
 IDEAL = (Servo(0.0, 0.0), Cell(0.0, 0.0, 0.0, 0.0, 0.0), Transport(0.0, 0.0, 0.0, 0.0))
 
 

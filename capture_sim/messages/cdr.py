@@ -23,6 +23,7 @@ from capture_sim.messages.topics import Stamp, Topic
 #: Fields of n messages, (n, ...) each, by their path in the message (``"header.stamp.sec"``).
 Columns = Mapping[str, np.ndarray]
 
+#: Bytes of the encapsulation header, from whose end fields are aligned (OMG DDSI-RTPS).
 _HEADER = 4
 #: Offset and length of a text.
 _TextSlot = tuple[int, int]

@@ -20,6 +20,7 @@ _OTHERS = (
     (b"BZh", "bzip2", "bunzip2 -k"),
     (b"\xfd7zXZ\x00", "xz", "unxz -k"),
 )
+#: Bytes unpacked at a time, so that a small file cannot unpack to one that fills the memory.
 _PIECE = 1 << 20
 TOO_LARGE = "it unpacks to more than is accepted for the file"
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+#: Columns of q and v.
 _CHASER, _TARGET = slice(0, 3), slice(5, 8)
 _THETA_S, _THETA_P, _H = 2, 3, 4
 _EMPTY = np.zeros(0)
@@ -101,6 +102,7 @@ class SeriesPart(NamedTuple):
     noise: float
 
 
+#: The numbers of a pose; the noise is the least that a comparison takes for one.
 _POSE = (
     SeriesPart("x", "mm", 1e3, 1e-6),
     SeriesPart("y", "mm", 1e3, 1e-6),

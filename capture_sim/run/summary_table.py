@@ -17,6 +17,7 @@ class _Column(NamedTuple):
     factor: float = 1.0
 
 
+#: Columns of the table of runs: group, name, unit, key of the summary, form and factor.
 COLUMNS = (
     _Column("", "experiment", "", "name", "{}"),
     _Column("", "verdict", "", "verdict", "{}"),

@@ -127,6 +127,7 @@ def _declaration(f: dataclasses.Field[Any], hint: Any) -> Declared:
     return Declared(f.name, kind, optional, required, unit or "", allowed, options, doc, points)
 
 
+#: Values in messages: a line has room for so many letters, and for so many nested lists.
 _shortened = reprlib.Repr()
 _shortened.maxstring = _shortened.maxother = 80
 _shortened.maxlevel = 3

@@ -11,6 +11,7 @@ import yaml
 from capture_sim.scene.parts import Scene, as_mapping
 from capture_sim.scene.quantities import ANY, Declared, declared
 
+#: Comments of the template begin in this column, to the right of its longest value.
 _COMMENT_COLUMN = 48
 
 

@@ -15,6 +15,7 @@ _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*(\S.
 _FACTOR = r"[^\W\d_]+(?:(?:\^|\*\*)-?\d|[²³])?"
 # excludes the arbitrary powers of pint's grammar, which may need any time and memory
 _UNIT = re.compile(rf"(?:{_FACTOR}|[%°])(?:(?:\s*[*/·]\s*|\s+){_FACTOR})*")
+#: Longest text of a number with its unit: a longer one is a mistake, and may take long to parse.
 _MAX_LENGTH = 100
 
 

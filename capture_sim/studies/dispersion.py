@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 MAIN_LOADS = ("max_normal_force", "max_axial_stroke_in", "max_torsion", "nearest_distance")
 #: A capture whose tip is outside the capture zone again.
 CAPTURED_LEFT = f"{CAPTURED}, left again"
+#: Shares of the runs whose quantiles are shown, and the confidence of every interval.
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 _CONFIDENCE = 0.95
 

@@ -24,7 +24,9 @@ LOAD_KEYS = tuple(
 
 #: Share of an area of approach that is captured; see capture_sim.studies.capture_range.
 CAPTURE_RANGE = "capture_range"
+#: It is an objective like a load, without a limit that it must keep.
 _RANGE = Load(CAPTURE_RANGE, "capture range", "1", "%", 100.0, ())
+#: Smaller values of a load, in its shown unit, count as this: their logarithm would rule a search.
 _LEAST_SHOWN = 1e-3
 #: A limit is kept up to this share: the error of a run at the tolerance of a study.
 ROUND_OFF = 1e-6

@@ -22,6 +22,7 @@ from capture_sim.studies.axes import Axis
 
 SAMPLES = ("random", "latin", "sobol", "saltelli")
 PLAIN, EDGES = "plain", "edges"
+#: More runs than this are a mistyped number.
 MAX_RUNS = 10_000_000
 #: A quarter of the edge-weighted draws of an axis lie in the lowest 2 % of its distribution, and
 #: a quarter in the highest; none lies further out than the cut.

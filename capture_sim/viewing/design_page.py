@@ -15,6 +15,7 @@ from capture_sim.base.software import own_version
 from capture_sim.base.tables import Section
 from capture_sim.viewing.canvas import small_png
 
+#: Of pictures on a page that is read on a screen.
 _DPI = 90.0
 
 

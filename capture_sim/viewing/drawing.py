@@ -32,7 +32,7 @@ from capture_sim.viewing.shapes import (
     wall_name_place,
 )
 
-_MM = 1e3
+_MM = 1e3  # in a metre: drawings are in mm
 _PATH, CURVE = 3.2, 2.1  # widths in contact, points
 
 

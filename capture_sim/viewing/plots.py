@@ -38,7 +38,8 @@ from capture_sim.viewing.curves import (
 from capture_sim.viewing.drawing import draw_quantity, draw_trajectory, frame_bounds
 from capture_sim.viewing.figures import sheet
 
-_MM = 1e3
+_MM = 1e3  # in a metre: drawings are in mm
+#: Points; sizes of a block in inches.
 _FONT = 13.5
 _BLOCK = 13.53  # inches, height of a run in the overview, without its title
 _COLUMN = 40  # letters of a title that a column of the overview is wide

@@ -34,6 +34,7 @@ from capture_sim.viewing.source import (
     start_word,
 )
 
+#: Of pictures that are printed too.
 _DPI = 144
 _HALF = 8.5  # inches: wider pictures are as wide as the page
 

@@ -17,7 +17,7 @@ from capture_sim.scene.parts import Cone, Scene
 from capture_sim.viewing import shapes, style
 from capture_sim.viewing.rerun_stream import RunStream
 
-_MM = 1e3
+_MM = 1e3  # in a metre: drawings are in mm
 #: Length of the force's arrow, m for 1 N, and where it ends.
 FORCE_SCALE = 3e-3
 _LONGEST_ARROW = 0.12

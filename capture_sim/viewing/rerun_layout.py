@@ -15,7 +15,7 @@ from capture_sim.viewing.rerun_plots import PLOTS
 from capture_sim.viewing.rerun_stream import ALIGNED, SIM_TIME
 from capture_sim.viewing.shapes import wall
 
-_MM = 1e3
+_MM = 1e3  # in a metre: drawings are in mm
 _PLAYED = 5.0  # s (wall), that a short timeline takes at least
 _MOST_LABELS = 6  # of an axis
 _CONTACT = ("contact_force", "distance", "axial_stroke", "torsion")  # diagrams of the first tab

@@ -26,6 +26,7 @@ from capture_sim.dynamics.model.trig import sine_cosine, sines_cosines
 from capture_sim.scene.geometry import nearest_on_wall, tip_motion, wall_curvature
 from capture_sim.scene.laws import FrictionLaw
 
+#: Entries of y: 8 coordinates and 8 rates; with the integrals of the ledger and of the impulses.
 N_STATE = 16
 N_TOTAL = 26
 # indices of the integrals in y; up to STOP they are energies

@@ -16,12 +16,14 @@ import numpy as np
 
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
 
+#: Reduction of an angle to an eighth of a turn (Cody and Waite 1980).
 _TWO_OVER_PI = 6.36619772367581382433e-01
 _EIGHTH = 0.785398163397448  # rad
 _HALF_PI_HEAD = 1.57079632673412561417e00  # 33 bits: a small multiple is exact
 _HALF_PI_TAIL = 6.07710050650619224932e-11
 _LARGEST = 1e5  # rad; beyond it the reduction would lose digits
 
+#: Reduction of an exponent to half of ln 2, in the same way.
 _LOG2_E = 1.44269504088896338700e00
 _LN2_HEAD = 6.93147180369123816490e-01  # 32 bits: a small multiple is exact
 _LN2_TAIL = 1.90821492927058770002e-10

@@ -21,8 +21,10 @@ from capture_sim.studies.calibration.trial import OWN_SIZE, FittedTrial
 
 #: Duration of the means of residuals, s.
 BLOCK = 0.03
-#: Phases of a trial, and when they end, s after the first contact; the first ends at the release.
+#: Phases of a trial.
 PHASES = ("held", "approach", "contact", "after")
+#: When approach and contact end, s after the first contact: two frames of a 100 Hz camera before
+#: it, and after the first group of touches.  The first phase ends at the release.
 _APPROACH_END, _CONTACT_END = -0.02, 0.25
 #: Chances of a wrong alarm: of trials that agree, and of all means of residuals together.
 ALARM_TRIALS, ALARM_BLOCKS = 1e-4, 1e-3
