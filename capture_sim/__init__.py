@@ -11,8 +11,8 @@
 - ``calibrate(trials)`` fits the parameters of a bench to its measured runs, and predicts.
 - ``Bench`` and ``drive`` advance a run step by step.
 - ``Phase``, ``EventKind`` and ``CaptureState`` name the constants of samples, events and statuses.
-- ``SceneError``, ``SimulationError``, ``RecordingError`` and ``MissingPackageError`` are
-  ``CaptureSimError``.
+- ``SceneError``, ``SimulationError``, its ``RunError``, ``RecordingError`` and
+  ``MissingPackageError`` are ``CaptureSimError``.
 
 ``help(capture_sim.simulate)`` and the like have the details.
 """
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from capture_sim.errors import SimulationError as SimulationError
     from capture_sim.recording.read import read_run as read_run
     from capture_sim.run.run import Run as Run
+    from capture_sim.run.simulation import RunError as RunError
     from capture_sim.run.simulation import simulate as simulate
     from capture_sim.scene.files import scene_names as scene_names
     from capture_sim.scene.loading import load_scene as load_scene
@@ -67,7 +68,7 @@ _MODULES = {
     "dynamics.samples": ("EventKind", "Phase"),
     "scene.files": ("scene_names",),
     "scene.parts": ("Scene",),
-    "run.simulation": ("simulate",),
+    "run.simulation": ("RunError", "simulate"),
     "studies.calibration.calibrate": ("calibrate",),
     "studies.sweep": ("sweep",),
     "viewing.plots": ("plot",),

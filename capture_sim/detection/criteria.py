@@ -27,7 +27,21 @@ _TICK = 1e-9
 
 
 class CaptureState(Named):
-    """State of the capture, as in msg/CaptureStatus.msg."""
+    """State of the capture, as in msg/CaptureStatus.msg.
+
+    Examples
+    --------
+    When the detector saw a bench change its state:
+
+    >>> from capture_sim import CaptureState, simulate
+    >>> run, seen = simulate("tilt_0"), {}
+    >>> for status in run.statuses:
+    ...     _ = seen.setdefault(status.label, round(status.t, 2))
+    >>> seen
+    {'approach': 0.0, 'contact': 2.8, 'captured': 3.12}
+    >>> run.statuses[-1].state is CaptureState.CAPTURED
+    True
+    """
 
     APPROACH = 0
     CONTACT = 1

@@ -70,6 +70,19 @@ def read_run(
         ``remaps`` is not in it, or ``release`` is outside of it.
     SceneError
         The recorded scene is invalid in this version.
+
+    Examples
+    --------
+    A simulated run is recorded, and read again:
+
+    >>> from tempfile import TemporaryDirectory
+    >>> from capture_sim import read_run, simulate
+    >>> from capture_sim.recording.offline import write_run
+    >>> made = simulate("tilt_0")
+    >>> with TemporaryDirectory() as folder:
+    ...     read = read_run(write_run(made, f"{folder}/tilt_0.mcap"))
+    ...     read.verdict, read.samples.tobytes() == made.samples.tobytes()
+    ('captured', True)
     """
     return run_of(read_bag(path, remaps=remaps, release=release), scene)
 

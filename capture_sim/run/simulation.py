@@ -93,6 +93,15 @@ def simulate(
     RunError
         The integration stopped early; the message names time, phase and cause, and ``result`` has
         the run up to then.  It is a SimulationError.
+
+    Examples
+    --------
+    >>> from capture_sim import simulate
+    >>> run = simulate("tilt_0", {"friction.mu": 0.2})
+    >>> run
+    Run(tilt_0: captured after 3.11 s, 7 touches, peak 131.8 N, 5927 samples to 5.92606 s)
+    >>> round(1e3 * run.loads["max_axial_stroke_in_before_latch"], 2)  # mm
+    4.92
     """
     if not isinstance(scene, Scene):
         scene = load_scene(scene, overrides)

@@ -141,7 +141,14 @@ def parse_scene(text: str, source: str) -> dict[str, Any]:
 
 
 def scene_names() -> list[str]:
-    """Return the names of the scenes that come with the package."""
+    """Return the names of the scenes that come with the package.
+
+    Examples
+    --------
+    >>> from capture_sim import scene_names
+    >>> [name for name in scene_names() if name.startswith("tilt")]
+    ['tilt_0', 'tilt_m10', 'tilt_p10']
+    """
     folder = config_dir() / "scenes"
     return sorted(p.stem for p in folder.glob("*.yaml") if not p.stem.startswith("_"))
 

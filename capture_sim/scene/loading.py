@@ -84,6 +84,16 @@ def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
     SceneError
         The scene is not found or a value is invalid; the message names field, value, unit and
         allowed range in one line.
+
+    Examples
+    --------
+    >>> from capture_sim import load_scene
+    >>> scene = load_scene("tilt_p10", {"buffer.c_A": "20 N s/m"})
+    >>> scene.title, scene.buffer.c_A
+    ('Ground bench, target turned by +10 degrees; with buffer.c_A=20 N s/m', 20.0)
+    >>> load_scene("tilt_p10", {"buffer.c_A": -1})
+    Traceback (most recent call last):
+    capture_sim.errors.SceneError: buffer.c_A = -1 N s/m: must be >= 0
     """
     kept = _packaged.get(name_or_path) if isinstance(name_or_path, str) else None
     if kept is not None and kept.is_current():
