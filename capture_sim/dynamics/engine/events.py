@@ -178,19 +178,20 @@ def first_crossing(w, kind, which):
     quarters, each at the minimum of the cubic through value and slope at both ends.
     """
     h, par = w.step.h, w.system.par
+    number = kind.value  # as in an event that was found: compiled once
     x_a = 0.0
-    g_a, d_a = event_value(w.stepper.y, par, kind, which)
+    g_a, d_a = event_value(w.stepper.y, par, number, which)
     is_inside = kind == EventKind.LATCHED and g_a < 0.0  # the tip starts there, at rest or leaving
     if (g_a <= 0.0 and d_a < 0.0) or is_inside:
         return 0.0
-    g_b, d_b = event_value(w.stepper.y_new, par, kind, which)
+    g_b, d_b = event_value(w.stepper.y_new, par, number, which)
     fall = (g_a - g_b) / h
     low, high = _STRAIGHT_SLOPES
     if g_a > 0.0 > g_b and low * fall < min(-d_a, -d_b) and max(-d_a, -d_b) < high * fall:
-        return refine(w, kind, which, 0.0, 1.0, g_a / (g_a - g_b))
+        return refine(w, number, which, 0.0, 1.0, g_a / (g_a - g_b))
     for quarter in range(4):
         x_b = 0.25 * (quarter + 1)
-        g_b, d_b = value_inside(w, x_b, kind, which)
+        g_b, d_b = value_inside(w, x_b, number, which)
         # after an event the function rises from zero, and may be below it by round-off
         low_a, low_g, low_d = x_a, max(g_a, 0.0), d_a
         high_b, high_g, high_d = x_b, g_b, d_b
@@ -203,7 +204,7 @@ def first_crossing(w, kind, which):
             if x_dip < 0.0 or dip > slack:
                 break
             x_m = low_a + x_dip * width
-            g_m, d_m = value_inside(w, x_m, kind, which)
+            g_m, d_m = value_inside(w, x_m, number, which)
             if g_m >= 0.0 and d_m < 0.0:
                 low_a, low_g, low_d = x_m, g_m, d_m
             else:
@@ -220,7 +221,7 @@ def first_crossing(w, kind, which):
                 start = 0.5 * (low_a + high_b)
                 if low_d < 0.0:
                     start = low_a + (high_b - low_a) * low_g / (low_g - high_g)
-                x = refine(w, kind, which, low_a, high_b, start)
+                x = refine(w, number, which, low_a, high_b, start)
             if x <= 1.0:
                 return x
         x_a, g_a, d_a = x_b, g_b, d_b
@@ -527,8 +528,8 @@ def search_step(w):
             if mode.stop == -side or (side > 0 and par.stop_extended == math.inf):
                 continue
             kind = EventKind.STOP_LEFT if mode.stop == side else EventKind.STOP_HIT
-            g_a, d_a = event_value(w.stepper.y, par, kind, side)
-            g_b, d_b = event_value(w.stepper.y_new, par, kind, side)
+            g_a, d_a = event_value(w.stepper.y, par, kind.value, side)
+            g_b, d_b = event_value(w.stepper.y_new, par, kind.value, side)
             if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, _CUBIC_ERROR):
                 keep_earliest(w, first_crossing(w, kind, side), kind, side)
     if mode.held:
@@ -545,8 +546,8 @@ def search_step(w):
             keep_earliest(w, x, EventKind.STICK, SLIDE)
     if par.preload > 0.0 and not mode.held:
         kind = EventKind.SEATED
-        g_a, d_a = event_value(w.stepper.y, par, kind, NO_WALL)
-        g_b, d_b = event_value(w.stepper.y_new, par, kind, NO_WALL)
+        g_a, d_a = event_value(w.stepper.y, par, kind.value, NO_WALL)
+        g_b, d_b = event_value(w.stepper.y_new, par, kind.value, NO_WALL)
         # just off its seat, the probe's stroke grows as t^3: a dip of the cubic is not real
         has_just_left = g_a <= 0.0 and d_a == 0.0
         if g_b < 0.0 or (not has_just_left and may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_ERROR)):

@@ -55,6 +55,9 @@ _MIN_PARABOLA = 1e-6
 #: Share of the rates at the ends and the middle of a segment in contact: limit of the rise inside.
 _RATE_RISE = 1.0
 
+#: Entries of the state; typed, as each literal would be compiled as a case of its own.
+_THETA_S, _THETA_P, _H = np.int64(2), np.int64(3), np.int64(4)
+
 
 class Watched(IntEnum):
     """A quantity whose maximum is searched, with a side where there are two."""
@@ -130,9 +133,9 @@ def value_at(w, x, quantity, side):
     """Return a quantity at the fraction ``x`` of the present step."""
     y, par = w.scratch.watched, w.system.par
     if quantity == Watched.STROKE:
-        return side * (entry_inside(w, x, 4) - par.h_0)
+        return side * (entry_inside(w, x, _H) - par.h_0)
     if quantity == Watched.TORSION:
-        return side * (entry_inside(w, x, 3) - entry_inside(w, x, 2))
+        return side * (entry_inside(w, x, _THETA_P) - entry_inside(w, x, _THETA_S))
     state_inside(w, x, y)
     if quantity == Watched.BUFFER_FORCE:
         return side * buffer_force_at(y, w.system)

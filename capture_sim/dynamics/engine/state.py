@@ -10,7 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from capture_sim.dynamics.model.equations import N_STATE, N_TOTAL, STOP, SYSTEM
+from capture_sim.dynamics.model.equations import N_TOTAL, STOP, SYSTEM
 from capture_sim.dynamics.samples import EXTREME_NAMES, SAMPLE, TOUCH
 from capture_sim.dynamics.solver.runge_kutta import stepper_type
 
@@ -156,15 +156,16 @@ EVENT = np.dtype(
 )
 
 #: States for use at once: each has one owner, which writes it before it reads it.  The tests put
-#: NaN into all of them between the owners' calls.
+#: NaN into all of them between the owners' calls.  All are as long as y, with or without integrals:
+#: for another length the compiler would compile the equations a second time.
 SCRATCH = np.dtype(
     [
-        ("sought", "f8", (N_STATE,)),  # events: where an event is sought
-        ("moved", "f8", (N_STATE,)),  # events.measure_hold: shortly after or before an end
-        ("watched", "f8", (N_STATE,)),  # extremes.value_at: where a maximum is sought
-        ("near_start", "f8", (N_STATE,)),  # extremes.watch_latch: shortly after the start
-        ("near_end", "f8", (N_STATE,)),  # extremes.watch_loads: shortly before the end
-        ("halted", "f8", (N_STATE,)),  # consequences.may_rest: with a vehicle at rest
+        ("sought", "f8", (N_TOTAL,)),  # events: where an event is sought
+        ("moved", "f8", (N_TOTAL,)),  # events.measure_hold: shortly after or before an end
+        ("watched", "f8", (N_TOTAL,)),  # extremes.value_at: where a maximum is sought
+        ("near_start", "f8", (N_TOTAL,)),  # extremes.watch_latch: shortly after the start
+        ("near_end", "f8", (N_TOTAL,)),  # extremes.watch_loads: shortly before the end
+        ("halted", "f8", (N_TOTAL,)),  # consequences.may_rest: with a vehicle at rest
         ("on_rail", "f8", (N_TOTAL,)),  # rail.close_rail: at the end of the segment
         ("sampled", "f8", (N_TOTAL,)),  # loop.sample_at: at a sample
     ],

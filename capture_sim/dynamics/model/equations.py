@@ -596,6 +596,8 @@ def slip_acceleration(y, f, par, i):
 
 #: Rate at which the round-off drift of a sticking tip is corrected, 1/s.
 _DRIFT_CORRECTION_RATE = 1e3
+#: Walls; typed, as each literal would be compiled as a case of its own.
+_PLUS_Y, _MINUS_Y = np.int64(0), np.int64(1)
 
 
 @inline_kernel
@@ -621,9 +623,9 @@ def solve_sticking(y, f, system):
     b0 = 0.0
     b1 = 0.0
     if sticking_0:
-        b0 = _corrected_slip_rate(y, f, system, 0)
+        b0 = _corrected_slip_rate(y, f, system, _PLUS_Y)
     if sticking_1:
-        b1 = _corrected_slip_rate(y, f, system, 1)
+        b1 = _corrected_slip_rate(y, f, system, _MINUS_Y)
     a00 = 1.0
     a01 = 0.0
     a10 = 0.0
@@ -632,16 +634,16 @@ def solve_sticking(y, f, system):
         out.friction_force[0] = 1.0
         out.friction_force[1] = 0.0
         accelerate(y, f, system)
-        a00 = _corrected_slip_rate(y, f, system, 0) - b0
+        a00 = _corrected_slip_rate(y, f, system, _PLUS_Y) - b0
         if sticking_1:
-            a10 = _corrected_slip_rate(y, f, system, 1) - b1
+            a10 = _corrected_slip_rate(y, f, system, _MINUS_Y) - b1
     if sticking_1:
         out.friction_force[0] = 0.0
         out.friction_force[1] = 1.0
         accelerate(y, f, system)
-        a11 = _corrected_slip_rate(y, f, system, 1) - b1
+        a11 = _corrected_slip_rate(y, f, system, _MINUS_Y) - b1
         if sticking_0:
-            a01 = _corrected_slip_rate(y, f, system, 0) - b0
+            a01 = _corrected_slip_rate(y, f, system, _PLUS_Y) - b0
     determinant = a00 * a11 - a01 * a10
     out.friction_force[0] = -(b0 * a11 - b1 * a01) / determinant
     out.friction_force[1] = -(b1 * a00 - b0 * a10) / determinant
