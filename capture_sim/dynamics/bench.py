@@ -142,7 +142,7 @@ class Bench:
         self._events = [Event(EventKind.RELEASE, 0.0, q, v, detail=detail)]
 
     def _begin(self, par: np.void) -> None:
-        """Write what holds the bench at the release; ``par`` is of dtype PARAMETERS."""
+        """Set which parts hold the bench at the release; ``par`` is of dtype PARAMETERS."""
         scene, rail, mode = self.scene, self._record["rail"], self._system["mode"]
         chaser, target = scene.initial.chaser, scene.initial.target
         progress = self._record["progress"]
@@ -274,9 +274,9 @@ class Bench:
         return self._advance(times)
 
     def finish(self, times: np.ndarray) -> np.ndarray:
-        """Run from the release to the end; as :meth:`advance`, for many runs with the same times.
+        """Run from the release to the end like :meth:`advance`, for many runs with the same times.
 
-        ``times`` are those of :func:`to_the_end`, and ascend from 0 or later; this is not checked.
+        ``times`` comes from :func:`to_the_end` and ascends from 0 or later; this is not checked.
         """
         self._last_time = math.inf
         return self._advance(times)

@@ -36,7 +36,7 @@ class EventLog(Sequence[Event]):
         return len(self._first) + sum(map(len, self._logs))
 
     def __iter__(self) -> Iterator[Event]:
-        """Yield the events in order; those after the last that is asked for are not made."""
+        """Yield the events in order; each Event is made when it is reached."""
         if "_all" in self.__dict__:
             yield from self._all
             return

@@ -1,4 +1,4 @@
-"""Memory of runs: the engine's record, and room for samples."""
+"""Reusable memory of a run: the engine's workspace, and arrays for the samples of a call."""
 
 from __future__ import annotations
 
@@ -22,11 +22,13 @@ STATE_BYTES = WORKSPACE.fields["log"][1]  # type: ignore[index]
 
 
 class Memory:
-    """Memory of one run at a time; a later run can have it again, as new memory costs time.
+    """The memory of one run at a time.
 
-    ``samples`` (n,) of dtype SAMPLE is room for the samples of a call, which the next call
-    overwrites: runs of a study that are integrated one after the other share it.  None for new room
-    in each call.
+    A later run can use it again, because allocating memory takes time.
+
+    ``samples`` (n,) of dtype SAMPLE holds the samples of a call, and the next call overwrites it.
+    The runs of a study are integrated one after the other, so they share one such array.  With None
+    each call allocates a new array.
     """
 
     def __init__(self, samples: np.ndarray | None = None) -> None:
@@ -40,7 +42,7 @@ class Memory:
 
 @functools.lru_cache(maxsize=len(PAIRS))
 def first_state(method: str) -> np.ndarray:
-    """Return the bytes of a workspace up to its log, with what all runs of a method begin with."""
+    """Return the bytes of a workspace up to its log, as every run of a method starts with."""
     workspace = np.zeros(1, WORKSPACE)
     set_pair(workspace[0]["stepper"], PAIRS[method]())
     step = workspace[0]["step"]

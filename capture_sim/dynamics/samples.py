@@ -1,6 +1,6 @@
 """Output of the bench: samples, touches and events, as plain NumPy data.
 
-Names and units of the fields are those of ``msg/BenchState.msg`` and ``msg/BenchEvent.msg``.
+The fields have the names and units of ``msg/BenchState.msg`` and ``msg/BenchEvent.msg``.
 """
 
 from __future__ import annotations

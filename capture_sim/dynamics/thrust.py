@@ -1,7 +1,8 @@
-"""Thrusters: what they make of the commands of a controller.
+"""Thrusters: the wrench that acts on a vehicle, from the commands of a controller.
 
-A command is cut to the limits, takes effect after the delay, waits until the present wrench has
-been held for the shortest pulse, and is held until the next one or its timeout.
+A command is clipped to the thruster's limits and takes effect after its delay.  It waits until the
+present wrench has lasted for the shortest pulse.  The wrench then holds until the next command or
+the timeout.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ NO_THRUST: BodyWrench = (0.0, 0.0, 0.0)
 class HeldWrench:
     """The wrench of one vehicle's thrusters over time.
 
-    ``applied``: the wrench in effect; ``timeout``: that of the last command, s, if it has ended the
-    wrench, else 0.
+    ``applied`` is the wrench in effect.  ``timeout`` (s) is the timeout that has ended the last
+    command, else 0.
     """
 
     def __init__(self, thruster: Thruster, timeout: float) -> None:

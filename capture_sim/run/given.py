@@ -1,4 +1,4 @@
-"""What the source of a run itself gives: an integration, a recording, or a loop with hardware."""
+"""The data that a run's source gives: an integration, a recording, or a loop with hardware."""
 
 from __future__ import annotations
 
@@ -24,18 +24,17 @@ T = TypeVar("T", bound="Given")
 
 
 class Integrated(NamedTuple):
-    """What the integration of a simulated run knows without its samples."""
+    """Results of the integration of a simulated run that need no samples."""
 
     t_end: float  # s, of the last sample at run.rate
     energy_residual: float  # J, largest residual of the energy ledger at run.rate
 
 
 class Given:
-    """Everything that the source of a run gives; what it does not give is empty or None.
+    """The data that the source of a run gives; a part that it does not give is empty or None.
 
-    ``Given(scene=scene, series=series)`` holds values.  A source that makes them at their first use
-    is a subclass with its own cached properties, so that a topic which nobody reads is never
-    decoded.
+    ``Given(scene=scene, series=series)`` holds values.  A source that computes its data lazily is a
+    subclass with its own cached properties: a topic is decoded only when it is read.
     """
 
     def __init__(self, **values: Any) -> None:
@@ -46,7 +45,7 @@ class Given:
         vars(self).update(values)
 
     def replaced(self: T, **values: Any) -> T:
-        """Return a copy with other values; what is not made yet is still made at its first use."""
+        """Return a copy with other values; parts that are not computed yet stay lazy."""
         changed = copy(self)
         Given.__init__(changed, **values)
         return changed
@@ -78,7 +77,7 @@ class Given:
 
     @cached_property
     def received(self) -> Sequence[Received] | None:
-        """Measurements for the detector as they arrived; None: those of the series."""
+        """Measurements for the detector in the order of their arrival; None to use the series."""
         return None
 
     @cached_property
@@ -118,12 +117,12 @@ class Given:
 
     @cached_property
     def evidence(self) -> Sequence[Measured]:
-        """What sensors have measured, for the rules of plausibility."""
+        """Measurements of the sensors, for the rules of plausibility."""
         return ()
 
     @cached_property
     def integrated(self) -> Integrated | None:
-        """What the integration of a simulated run knows without its samples."""
+        """Results of the integration of a simulated run; None for any other run."""
         return None
 
 

@@ -1,6 +1,7 @@
 """The integration of a run, which :func:`capture_sim.simulate` and all studies share.
 
-Samples are taken at ``run.rate``, the detector's; what is not read costs nothing more.
+Samples are taken at ``run.rate``, the rate of the detector.  Further samples are computed only if
+they are read.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class _Kept(threading.local):
         self._memories: list[Memory] = []
 
     def memories(self, count: int) -> list[Memory]:
-        """Return the memories of so many runs; the next call returns the same ones."""
+        """Return ``count`` memories; the next call returns the same ones again."""
         missing = count - len(self._memories)
         self._memories += [Memory(self._samples) for _ in range(missing)]
         return self._memories[:count]
@@ -158,9 +159,9 @@ class Integration:
 
     @property
     def behind(self) -> float:
-        """How far behind BE the tip's centre is at the end, m; 0 within the capture radius.
+        """Return how far the tip's centre is behind BE at the end, m; 0 within the capture radius.
 
-        A tip may pass through BE.  What is behind it, inside of the target, no scene describes.
+        A tip may pass through BE.  No scene describes the inside of the target, behind BE.
         """
         behind = -self._detector.axial
         return behind if behind > self.bench.scene.detector.capture_radius else 0.0
@@ -168,9 +169,9 @@ class Integration:
 
 @lru_cache(maxsize=4)
 def _measured_at(t_end: float, rate: float) -> np.ndarray:
-    """Return the times of the detector's measurements, s, and that of :func:`to_the_end`.
+    """Return the times of the detector's measurements, s, and the result of :func:`to_the_end`.
 
-    Most runs of a study share them.
+    Most runs of a study have equal times, so the result is cached.
     """
     times: np.ndarray = np.arange(math.floor(t_end * rate) + 2) / rate
     return to_the_end(times[times <= t_end])

@@ -280,9 +280,9 @@ def extremes_to_text(extremes: Extremes) -> str:
 
 
 def extremes_from_text(text: str) -> Extremes:
-    """Return the extremes in a text of :func:`extremes_to_text`; ValueError if it is invalid.
+    """Return the extremes from a text of :func:`extremes_to_text`; ValueError if it is invalid.
 
-    What a text of another version lacks is NaN: not recorded.
+    A value that a text of another version does not contain is NaN: it was not recorded.
     """
     extremes = np.full(2, math.nan, EXTREMES)
     try:

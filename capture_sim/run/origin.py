@@ -38,7 +38,7 @@ class Origin:
 
     @property
     def software(self) -> tuple[str, ...]:
-        """What made the run, ``"name version"`` each; asking git takes as long as a run."""
+        """Software that made the run, ``"name version"`` each; asking git is slow."""
         if self.recorded_software is not None:
             return self.recorded_software
         return tuple(software_versions())

@@ -228,8 +228,9 @@ def events_of(
 ) -> tuple[Event, ...]:
     """Return a TOUCH event for each touch, with its state in the samples.
 
-    Its rates are those before the touch, by poses that no gap separates from it; without such
-    poses they are NaN, and ``detail`` has the reason.  ``series``: those of the samples.
+    The rates are those just before the touch, from poses that no gap separates from it.  Without
+    such poses they are NaN, and ``detail`` gives the reason.  ``series`` are the series of the
+    samples.
     """
     poses = [series["chaser"].t, series["target"].t]
     has_twist = "chaser_rate" in series and "target_rate" in series

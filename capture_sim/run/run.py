@@ -169,9 +169,9 @@ class Run(ABC):
         return not self.problems
 
     def replaced(self: R, **changes: Any) -> R:
-        """Return the run with other attributes, its own ones or those of ``given``.
+        """Return the run with other attributes, of the run itself or of ``given``.
 
-        A topic that is not yet decoded stays so.
+        A topic that is not decoded yet stays undecoded.
         """
         own = {f.name for f in fields(self)}
         of_source = {name: value for name, value in changes.items() if name not in own}
@@ -287,11 +287,12 @@ class Run(ABC):
 
     @cached_property
     def resolved_touches(self) -> tuple[Touches | None, str]:
-        """The touches that were resolved one by one, and their source; None and why if none were.
+        """The touches that were resolved one by one, and their source; else None and the reason.
 
-        They are the located ones, else those that ``bench/contact`` counted, or those in a sampled
-        force, whichever has more messages.  The first touch that is not resolved ends the list.
-        Peaks are those of the normal force; without a scene those of the magnitude.
+        Located touches come first.  Otherwise the source is ``bench/contact``, which counts
+        touches, or a sampled force, whichever has more messages.  The list ends at the first touch
+        that is not resolved.  Peaks are peaks of the normal force; without a scene, of the
+        magnitude of the force.
         """
         if self.given.touches.size:
             return located(self.given.touches), EVENTS
@@ -383,11 +384,11 @@ class Run(ABC):
 
     @cached_property
     def loads(self) -> dict[str, Any]:
-        """Loads of the whole run and of the time before the latch closes, by name, SI units.
+        """Loads over the entire run and before the latch closes, by name, SI units.
 
-        Examples of names are ``max_torsion`` and ``max_torsion_before_latch``; with the ending
-        ``_time``, the time of that load.  :data:`capture_sim.run.loads.LOADS` lists names
-        and units.
+        Examples of names are ``max_torsion`` and ``max_torsion_before_latch``; a name that ends in
+        ``_time`` gives the time of the load.  :data:`capture_sim.run.loads.LOADS` lists names and
+        units.
         """
         loads = loads_of(self.extremes, self.touches)
         if self.is_exact or self.given.extremes is not None or not self.statuses:
@@ -567,7 +568,7 @@ class ExactRun(Run):
 
 
 class MeasuredRun(Run):
-    """A run known from what sensors have measured."""
+    """A run known only from the measurements of its sensors."""
 
     is_exact = False
 

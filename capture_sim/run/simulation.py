@@ -150,9 +150,10 @@ def simulate(
 
 
 def applied_again(run: Run) -> Control | None:
-    """Return a controller that applies the thrust of an exact run again; None if it has none.
+    """Return a controller that applies the thrust of an exact run again; None if it had no thrust.
 
-    The wrenches are those of the samples, so a change between two samples comes with the next one.
+    The wrenches are taken from the samples, so a change between two samples takes effect at the
+    later sample.
     """
     thrust = run.samples["thrust"]
     if run.scene.thrusters is None or not thrust.any():
@@ -232,10 +233,11 @@ def _grid_samples(scene: Scene, end: float) -> np.ndarray:
 
 
 class GivenByIntegration(Given):
-    """What an integration gives of a run; samples, series and sensors are made when they are read.
+    """The data that an integration gives; samples, series and sensors are computed when read.
 
-    ``samples``: those that were asked for, ``is_on_grid`` if at ``run.state_rate``; None to make
-    them by a second integration.  ``judged``: None to make it so.
+    ``samples`` are the samples that the caller asked for, ``is_on_grid`` if they are at
+    ``run.state_rate``; with None a second integration computes them.  ``judged`` has the detector's
+    statuses; with None a second integration computes them.
     """
 
     def __init__(
@@ -264,7 +266,7 @@ class GivenByIntegration(Given):
 
     @cached_property
     def samples(self) -> np.ndarray:
-        """The samples that were asked for, else those at ``run.state_rate``."""
+        """The samples that the caller asked for, else the samples at ``run.state_rate``."""
         return self._grid if self._asked_for is None else self._asked_for
 
     @cached_property

@@ -1,7 +1,7 @@
-"""The touches of a run: as located by events, or found in what was measured of the force.
+"""The touches of a run: located by events, or found in a measured force.
 
-A touch of the tip lasts some third of a millisecond, so a sampled force shows it only when it is
-sampled ten times faster than that, or when each message carries the peak since the last one.
+A touch of the tip lasts about a third of a millisecond.  So a sampled force shows it only if its
+rate is ten times higher than that, or if each message carries the peak since the last one.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Touches:
         return replace(self, **{name: getattr(self, name)[kept] for name in _COLUMNS})
 
     def later(self, by: float) -> Touches:
-        """Return these touches with all times shifted by so much, s."""
+        """Return these touches with all times shifted by ``by``, s."""
         return replace(self, start=self.start + by, peak_time=self.peak_time + by)
 
     def within(self, contact: float, window: float) -> Touches:
@@ -134,7 +134,7 @@ def unseen_impact(travel: float) -> str:
 
 
 class Quiet(NamedTuple):
-    """What a force sensor reads before anything touches."""
+    """Reading of a force sensor before the first contact."""
 
     bias: np.ndarray  # (2,), N; (n, 2) if it drifts
     sigma: float  # standard deviation of a component, N
@@ -156,9 +156,10 @@ def quiet_before_contact(t: np.ndarray, force: np.ndarray) -> Quiet | None:
 
 
 def _drifting_zero(t: np.ndarray, force: np.ndarray) -> np.ndarray | None:
-    """Return the zero of a force that drifts, (n, 2), N, times (n,), s; None if it does not.
+    """Return the zero of a force that drifts, (n, 2), N, at times (n,), s; None if it does not.
 
-    Before the contact it is a running median.  From there on it goes on along a line.
+    Before the contact the zero is a running median.  After it the zero is extrapolated along a
+    line.
     """
     zero = baseline(t, force)
     quiet = _quiet(force - zero)

@@ -20,7 +20,7 @@ TICK = 1e-6
 
 
 class LiveConditions(NamedTuple):
-    """What the live detector knew of a run, and the part of a recording that it has used."""
+    """Knowledge of the live detector about a run, and the part of the recording that it used."""
 
     is_simulated: bool  # one clock stamps everything, and the run begins with the release
     last: float = math.inf  # last instant that is evaluated, s since the release

@@ -254,9 +254,10 @@ def is_slow(y, par, which, factor):
 
 @inline_kernel
 def load_of_vehicle(y, par, hold, which):
-    """Return the wrench that a vehicle at rest puts on its supports, its heading and its balls.
+    """Return the load of a resting vehicle on its supports, cosine and sine of heading, and balls.
 
-    As the arguments of :func:`load_factor`; ``hold`` (6,) is the load at ``y``, see ``OUT``.
+    The results are the arguments of :func:`load_factor`.  ``hold`` (6,) is the load at ``y``, see
+    ``OUT``.
     """
     if which == 0:
         s, c = sine_cosine(y[2])
@@ -311,9 +312,10 @@ def is_sticking_tip(mode, i):
 
 @kernel
 def slip_margin(y, system, i):
-    """Return what is left before tip or probe slides no more in its direction, or sticks no more.
+    """Return the margin before the tip or the probe stops sliding forward, or stops sticking.
 
-    A speed (m/s) or a force (N), 0 or below if it is so already.
+    The margin is a speed (m/s) or a force (N).  It is 0 or below if the change has already
+    happened.
     """
     if is_sticking_tip(system.mode, i):
         return unused_friction(y, system, i)
@@ -426,11 +428,11 @@ def margin(y, system, kind, which):
 
 @kernel
 def locate_zero(w, kind, which, x_b):
-    """Return the fraction of the step at which a margin first is 0, for one that is so at ``x_b``.
+    """Return the fraction of the step where a margin first reaches 0; at ``x_b`` it is 0 or below.
 
-    To round-off; by the method of Oliveira and Takahashi (2020), which needs no slope: secants that
-    never take longer than a bisection.  It falls back to that where the margin is not above 0 at
-    the start, as that of a slip after a change.
+    The result is exact to round-off.  The method of Oliveira and Takahashi (2020) needs no slope:
+    it uses secants, and never needs more evaluations than bisection.  If the margin is not above 0
+    at the start of the step, e.g. that of a slip after a change, plain bisection is used.
     """
     y = w.scratch.sought
     x_a, g_a = 0.0, margin(w.stepper.y, w.system, kind, which)
@@ -567,7 +569,7 @@ def search_step(w):
 def search_again(w, kind, which, x):
     """Find the first event in a repeated step, which ends just past the event found before.
 
-    If that event is not near the fraction ``x``, the whole step is searched.
+    If the event is not near the fraction ``x``, the entire step is searched.
     """
     event, par = w.event, w.system.par
     x_a = 1.0 - _BRACKET_FACTOR * (1.0 - x)

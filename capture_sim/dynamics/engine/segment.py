@@ -114,9 +114,9 @@ def is_resolved(w):
 
 @kernel
 def end_segment(w):
-    """Set the end of the segment: the first event, the end of the run, or that of the step.
+    """End the segment at the first event, at the end of the run, or at the end of the step.
 
-    Writes the state there into ``w.y_end``; returns the Status.
+    Writes the state at that time into ``w.y_end`` and returns the Status.
     """
     step, event, par, stepper = w.step, w.event, w.system.par, w.stepper
     if event.x <= 1.0:

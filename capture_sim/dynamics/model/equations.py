@@ -53,7 +53,7 @@ WALL_TOUCH = np.dtype(
 
 
 class Hold(IntEnum):
-    """What holds the probe at rest in its slide."""
+    """The parts that can hold the probe at rest in its slide."""
 
     NONE = 0
     SEAT = 1  # preloaded, at h = h_0; friction helps
@@ -226,10 +226,10 @@ def tip_forces(y, system, px, py, wx, wy):
 
 @inline_kernel
 def chaser_inertia(sD, cD, coupled, held, par):
-    """Return what :func:`chaser_accelerations` needs of the inertias.
+    """Return the terms of the inertia matrix that :func:`chaser_accelerations` needs.
 
-    theta_P, and h unless it is ``held``, are eliminated; ``coupled`` is the mass across the probe
-    that turns with it, kg.
+    theta_P is eliminated, and h too unless it is ``held``.  ``coupled`` (kg) is the mass across the
+    probe that turns with it.
     """
     a, m_along, m_free, inverse_u = par.a, par.m_C, par.m_P, par.inverse_m_SC
     m_CP = par.m_C + par.m_P

@@ -53,7 +53,7 @@ def kinetic_energy(y, par):
 
 @kernel
 def mechanical_energy(y, system):
-    """Return the kinetic energy, and that of the springs of buffer, stops, contact and latch, J."""
+    """Return kinetic energy plus the energy stored in buffer, stops, contact and latch, J."""
     par, mode = system.par, system.mode
     stroke = y[4] - par.h_0
     axial, torsion = buffer_energy(stroke, y[3] - y[2], par)

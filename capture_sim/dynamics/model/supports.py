@@ -64,9 +64,9 @@ def resistance_of_each(ux, uy, omega, balls, v_eps):
 
 @vectorized(resistance_of_each, results=3)
 def resistance(code: Any, ux: Any, uy: Any, omega: Any, balls: Any, v_eps: Any) -> list[Any]:
-    """Do what :func:`resistance_of_each` does, with the three balls in a vector register.
+    """Do the same as :func:`resistance_of_each`, with the three balls in one vector register.
 
-    A square root and a division take as long for four numbers as for one.
+    A square root or a division takes as long for four numbers as for one.
     """
     x, y, limit = (code.load(balls, 4 * row, 4) for row in range(3))
     ux, uy, omega, v_eps = (code.broadcast(value, 4) for value in (ux, uy, omega, v_eps))

@@ -89,7 +89,7 @@ def sines_cosines(a, b, c):
 
 @inline_kernel
 def wrapped_angle(angle):
-    """Return an angle (rad) between -pi and pi, less whole turns; unchanged if it is."""
+    """Return an angle wrapped to -pi to pi, rad; an angle in that range is returned unchanged."""
     if not abs(angle) > math.pi:
         return angle
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)

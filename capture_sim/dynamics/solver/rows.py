@@ -31,7 +31,7 @@ def _add_rows(out, base, rows, places, weights, count, h, n):
 def add_rows(
     code: Any, out: Any, base: Any, rows: Any, places: Any, weights: Any, count: Any, h: Any, n: int
 ) -> None:
-    """Do what :func:`_add_rows` does."""
+    """Do the same as :func:`_add_rows`, in vector registers."""
     (sums,) = code.sums(rows, places, count, [weights], n)
     for (start, width), total in zip(code.blocks(n), sums, strict=True):
         lengths = code.broadcast(h, width)
@@ -75,7 +75,7 @@ def squares_of_sums(
     h: Any,
     n: int,
 ) -> list[Any]:
-    """Do what :func:`_squares_of_sums` does."""
+    """Do the same as :func:`_squares_of_sums`, in vector registers."""
     lengths = []
     for sums in code.sums(rows, places, count, [first, second], n):
         scaled = []
