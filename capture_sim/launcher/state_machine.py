@@ -47,7 +47,7 @@ class LauncherPhase(Named):
 
 @dataclass(frozen=True)
 class LauncherStatus:
-    """What the launcher knows; fields as in msg/LauncherState.msg."""
+    """The status of a launcher; fields as in msg/LauncherState.msg."""
 
     state: LauncherPhase
     hanging_mass: float

@@ -200,7 +200,7 @@ class CaptureDetectorNode(BenchNode, RunPart):
             self.guarded(self._evaluate)()
 
     def _evaluate(self) -> None:
-        """Evaluate the measurements that were read; send what they show."""
+        """Evaluate the measurements that were read; publish the statuses that result."""
         waiting, self._waiting = self._waiting, []
         self._send_all([s for each in waiting for s in self._detector.measure(*each)])
         if waiting and (now := time.monotonic()) >= self._warned + WARNING_PERIOD:

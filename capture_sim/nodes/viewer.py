@@ -1,8 +1,8 @@
-"""The node that shows a run while it goes on; needs rerun, and takes no part in the run.
+"""The node that shows a run live; it needs rerun, and takes no part in the run.
 
-Of the simulator it reads BenchState, which holds all of an instant; of a real bench, whose
-geometry is given by ``scene``, its poses, buffer, contact and string.  No node waits for it: what
-comes too fast is not shown.
+From a simulator it reads BenchState, which contains the full state of an instant.  From a real
+bench, whose geometry ``scene`` gives, it reads poses, buffer, contact and string.  No node waits
+for the viewer: messages that arrive too fast are not shown.
 """
 
 from __future__ import annotations

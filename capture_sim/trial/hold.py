@@ -1,7 +1,7 @@
 """The output launcher/hold: its period, its readers, its one publisher, and its silence.
 
-A driver holds its chaser when the last message is older than :data:`HOLD_TIMEOUT`.  The thread that
-decides also sends: a stalled launcher sends nothing, so it cannot let go.
+A driver holds its chaser if the last message is older than :data:`HOLD_TIMEOUT`.  The thread that
+makes the decisions also publishes, so a stalled launcher falls silent and its driver holds.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class HoldReaders:
         )
 
     def absence(self) -> str:
-        """Return why no driver is reached; empty if one is."""
+        """Return the reason why no driver reads launcher/hold; empty if a driver does."""
         if self._since:
             return ""
         text = "launcher/hold: " + (f"not read by {self._driver}" if self._driver else "no reader")
@@ -88,10 +88,11 @@ class HoldReaders:
 
 
 class HoldPublishers:
-    """Follows which nodes publish launcher/hold: of two, one lets go what the other one brakes.
+    """Follows which nodes publish launcher/hold: a second one could release a held chaser.
 
-    ``own``: full name of the launcher that asks, which publishes it once; ``began``: s, when it
-    started.  ``is_disputed``: another one was there, or was heard, since :meth:`begin`.
+    ``own`` is the full name of the launcher that asks, which publishes the topic once.  ``began``
+    (s) is when it started.  ``is_disputed`` is True if another publisher was found or heard since
+    :meth:`begin`.
     """
 
     def __init__(self, own: str, began: float) -> None:
@@ -102,7 +103,7 @@ class HoldPublishers:
         self.is_disputed = False
 
     def begin(self) -> None:
-        """Forget what was heard before a release: there is one publisher now."""
+        """Start a release, at which there is one publisher: discard earlier messages."""
         self._heard_since = math.inf
         self._lets_go = self._has_heard_own = self.is_disputed = False
 
@@ -135,7 +136,7 @@ class HoldPublishers:
         self.is_disputed = self.is_disputed or bool(self._others) or n_nameless > 0
 
     def conflict(self, now: float) -> str:
-        """Return that another node publishes it, by name; empty if none does."""
+        """Return the complaint that other nodes publish launcher/hold; empty if none does."""
         others = " and ".join(self._others)
         if not others and now > min(self._nameless_since, self._heard_since) + NAMING_TIME:
             others = "a node without a name"

@@ -1,6 +1,6 @@
-"""Interlocks: what must be true of the measurements before a release, and in the approach.
+"""Interlocks: conditions on the measurements, before a release and during the approach.
 
-:class:`Interlocks` sees each pose and buffer state, and nothing is let go around it.
+:class:`Interlocks` sees each pose and each buffer state; no release bypasses it.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ class SourceMonitor:
         return now - self._last_new
 
     def has_two_clocks(self, now: float) -> bool:
-        """Return True if the stamps jump to and fro, as from two publishers."""
+        """Return True if the stamps alternate between two clocks, as from two publishers."""
         steps = self._steps_back
         return len(steps) == MIN_STEPS_BACK and steps[0] > now - STEP_WINDOW
 
@@ -185,7 +185,7 @@ class SourceMonitor:
         return max(p[2] for p in periods) if enough else math.nan
 
     def mark(self) -> None:
-        """Note the clock at the release: that of the quickest message, as others were late."""
+        """Note the clock at the release from the message with the least delay."""
         self._reference, self._stepped_back = self._quickest, False
 
     def clock_step(self) -> float:
@@ -202,16 +202,17 @@ class SourceMonitor:
         return behind if behind < -MAX_STEP_BACK and self._stepped_back else 0.0
 
     def unchanged(self, now: float) -> float:
-        """Return the time since the last measurement with other values, s."""
+        """Return the time since a measurement last had other values than the one before, s."""
         return now - self._last_change
 
 
 class Interlocks:
-    """Sees each measurement; returns why nothing may be let go, or why the approach must end.
+    """Sees each measurement; returns the reasons to refuse a release or to abort an approach.
 
-    ``topics``: by source, the names of the topics that it may publish.  :meth:`choose` decides
-    which of them a trial uses; the others then do not count.  ``readers`` and ``publishers``: those
-    of launcher/hold.  ``waived``: names of :data:`RULES` that do not refuse a release.
+    ``topics`` has, by source, the names of the topics that it may publish.  :meth:`choose` decides
+    which of them a trial uses; the other topics then do not count.  ``readers`` and ``publishers``
+    are the readers and publishers of launcher/hold.  ``waived`` has the names of the :data:`RULES`
+    that do not refuse a release.
     """
 
     def __init__(
@@ -303,7 +304,7 @@ class Interlocks:
         return [f"{name}: clock stepped by {step:+.3g} s" for name, step in steps.items() if step]
 
     def silences(self, now: float) -> dict[str, float]:
-        """Return for how long, s, the topics of needed sources are silent, beyond what may be."""
+        """Return how long each needed topic has been silent, s, where this exceeds its limit."""
         ages = {
             self._best(source): (self._age(source, now), limit) for source, limit in self._limited()
         }
@@ -375,10 +376,10 @@ class Interlocks:
         return broken
 
     def blindness(self, now: float, *, has_moved: bool) -> tuple[str, float]:
-        """Return why the approach must end, empty if it goes on, and for how long it is not seen.
+        """Return why the approach must end, or an empty text, and how long it was unobserved, s.
 
-        The time is in s.  ``has_moved``: the chaser is under way, so that a pose that repeats
-        exactly is one of a driver that has lost its view.
+        ``has_moved`` is True if the chaser is under way.  An exactly repeated pose then comes from
+        a driver that has lost sight of the chaser.
         """
         limit, age = self.limits.max_pose_age, self._age(Source.CHASER, now)
         if not age <= limit:
@@ -415,10 +416,10 @@ class Interlocks:
         return self.monitors[self._best(source)].age(now)
 
     def _conflict(self, source: Source) -> str:
-        """Return the complaint that several nodes publish one sensor's topics; empty if one does.
+        """Return the complaint that several nodes publish a sensor's topics; empty if one does.
 
-        One of them is a simulator or a player that somebody has started: which one is used would
-        be chance.
+        One of them is usually a simulator or a player that was left running, and chance would
+        decide which one is used.
         """
         publishers, topics = self._publishers or {}, self._topics[source]
         nodes = sorted({node for topic in topics for node in publishers.get(topic, ())})

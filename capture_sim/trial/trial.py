@@ -1,8 +1,8 @@
 """A trial of a real bench as a state machine, without ROS.
 
-PREPARING -> APPROACH -> CONTACT -> DECIDED -> CLOSING -> OVER; every phase may go on to CLOSING.
-The chaser is held except from the release to CLOSING.  :class:`Trial` sees each measurement and a
-steady clock; :meth:`Trial.advance` alone decides, and returns the steps that its caller has to do.
+PREPARING -> APPROACH -> CONTACT -> DECIDED -> CLOSING -> OVER; every phase may go to CLOSING.  The
+chaser is held except from the release to CLOSING.  :class:`Trial` sees each measurement and a
+steady clock.  :meth:`Trial.advance` alone decides, and returns the steps for its caller to take.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class TrialPhase(Named):
 
 
 class TrialStep(Enum):
-    """What the caller of :meth:`Trial.advance` has to do."""
+    """A step that the caller of :meth:`Trial.advance` has to take."""
 
     ANNOUNCE = "announce"  # to the other nodes, which then join
     RELEASE = "release"
@@ -58,7 +58,7 @@ class TrialStep(Enum):
 
 @dataclass(frozen=True)
 class TrialGoal:
-    """What an operator asks for; fields as in action/RunTrial.action."""
+    """The goal that an operator sends; fields as in action/RunTrial.action."""
 
     name: str
     note: str = ""

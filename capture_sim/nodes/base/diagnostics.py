@@ -1,4 +1,4 @@
-"""The topic diagnostics: what a node reports about its process."""
+"""The topic diagnostics: the state of a node's process."""
 
 from __future__ import annotations
 

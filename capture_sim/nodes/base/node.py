@@ -48,9 +48,9 @@ _ODD_CONTENTS = (ValueError, TypeError, LookupError, ArithmeticError, AssertionE
 class BenchNode(ParameterNode):
     """A node with one thread: its callbacks run inside :meth:`wait` and nowhere else.
 
-    ``options`` are those of :class:`rclpy.node.Node`.  ``end_request``: an event that ends the
-    node, by default the process's Ctrl-C; ``exit_status``: what the process returns when it is
-    ended; ``failure``: an error in a callback, which the next wait raises.
+    ``options`` are the options of :class:`rclpy.node.Node`.  ``end_request`` is an event that ends
+    the node, by default the Ctrl-C of the process.  ``exit_status`` is the status that the process
+    returns when it is ended.  ``failure`` is an error in a callback, which the next wait raises.
     """
 
     #: The node of rclpy's default context.
@@ -104,8 +104,9 @@ class BenchNode(ParameterNode):
     def wait(self, until: Callable[[], bool] | None = None, limit: float = math.inf) -> bool:
         """Run callbacks until ``until()`` is true or ``limit`` s (wall) have passed.
 
-        Return whether it is true.  KeyboardInterrupt, once, after the request to end; later waits
-        are those of the shutdown.  An error in a callback is raised here.
+        Return True if ``until()`` is true.  The first wait after the request to end raises
+        KeyboardInterrupt.  Later waits do not raise it, so the node can shut down in order.  An
+        error in a callback is raised here.
         """
         deadline = time.monotonic() + limit
         has_served = False  # a wait without time serves once
@@ -183,11 +184,11 @@ class BenchNode(ParameterNode):
         raw: bool = False,
         **options: Any,
     ) -> None:
-        """Subscribe to a topic; ``raw``: the callback takes a message's bytes.
+        """Subscribe to a topic; with ``raw`` the callback receives a message's bytes.
 
-        A message that cannot be used is rejected in one line, and the node goes on; an error that
-        is no message's fault ends it.  A topic of a rig is read best effort once a publisher offers
-        no more.
+        A message that cannot be used is rejected with one log line, and the node
+        continues.  An error that no message has caused ends the node.  A topic of a rig is read
+        best effort as soon as one publisher offers no more than that.
         """
 
         def take(data: bytes) -> None:
@@ -229,7 +230,7 @@ class BenchNode(ParameterNode):
         )
 
     def every(self, period: float, callback: Callable[[], None]) -> None:
-        """Call a function every so many s (wall) while the node waits."""
+        """Call a function every ``period`` s (wall) while the node waits."""
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(period, self.guarded(callback), clock=steady)
 

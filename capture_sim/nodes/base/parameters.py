@@ -118,7 +118,8 @@ class ParameterNode(Node):
     ) -> Any:
         """Declare a parameter for each quantity of a dataclass; return it with their values.
 
-        ``name_of`` returns a parameter's name from that of its field; empty for no parameter.
+        ``name_of`` returns a parameter's name from the name of its field, or an empty text for no
+        parameter.
         """
         values = {}
         for field in declared(type(defaults)).values():

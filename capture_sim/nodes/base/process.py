@@ -39,12 +39,12 @@ def run(
     make: Callable[[], BenchNode],
     args: Sequence[str] | None = None,
 ) -> int:
-    """Make a node, do its work, end in order; return the process's exit status.
+    """Make a node, do its work and shut it down; return the exit status of the process.
 
-    0: done, or ended by Ctrl-C, which is a node's ordinary end; 1: the node or one of its runs has
-    failed; 2: a parameter or the scene is wrong.  ``args``: the command line; None for that of the
-    process, which is then to end: where DDS does not, it is ended after
-    :data:`DDS_SHUTDOWN_TIMEOUT`.
+    The status is 0 if the work is done or Ctrl-C has ended it, which is a node's ordinary end.  It
+    is 1 if the node or one of its runs has failed, and 2 if a parameter or the scene is wrong.
+    ``args`` is the command line.  None takes that of the process, and the process then ends: if DDS
+    does not shut down, it is ended after :data:`DDS_SHUTDOWN_TIMEOUT`.
     """
     if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
         try:

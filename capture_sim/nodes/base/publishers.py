@@ -162,9 +162,10 @@ class Publishers:
         return [n for n, sent in answers.items() if sent and not any(a.done() for a in sent)]
 
     def _drop_stalled(self, topic: Topic) -> None:
-        """Replace the publishers by ones that do not wait for a reader.
+        """Replace the publishers of a topic by new ones that do not wait for a reader.
 
-        The former ones stay: other readers may still be sent what they keep.
+        The former publishers are kept, because they may still send their stored messages to other
+        readers.
         """
         self.report_stalled(topic)
         for stream, sender in list(self._senders.items()):

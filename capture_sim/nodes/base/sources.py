@@ -63,9 +63,10 @@ class SourceDiagnostics:
         node.every(PERIOD, self._publish)
 
     def watch(self, *topics: Topic) -> None:
-        """Report on these topics from now on, also without a message.
+        """Report on these topics from now on, even before their first message.
 
-        They are alternatives: those without publisher are left out if another one has one.
+        The topics are alternatives: a topic without publisher is not reported if another one has a
+        publisher.
         """
         self._groups.append(topics)
         for topic in topics:

@@ -97,7 +97,7 @@ class Announcement:
         ]
 
     def reports(self) -> list[RunReport]:
-        """Return what the participants that have left the run report of it."""
+        """Return the reports of all participants that have left the run."""
         return [part.report for part in self.parts() if part.is_done(self.key)]
 
     def close(self) -> None:
@@ -115,12 +115,12 @@ class Announcement:
 
 
 class Announcer:
-    """Announces the runs of a simulator or player, one after another, and waits for nodes.
+    """Announces the runs of a simulator or player one after another, and waits for nodes.
 
-    ``wait_for``: roles, names or full names of nodes that must be there before a run, as many nodes
-    as a name is repeated; a node that is not on the roll is there when its subscriptions are
-    matched.  ``check`` is called while
-    waiting and raises to stop waiting.
+    ``wait_for`` lists the roles, names or full names of the nodes that must be present before a
+    run.  A name that is listed twice stands for two nodes.  A node that is not on the roll counts
+    as present when its subscriptions are matched.  ``check`` is called while the announcer waits,
+    and raises to stop the wait.
     """
 
     def __init__(
@@ -142,9 +142,9 @@ class Announcer:
         self._changed = 0.0  # s (wall), when they did last
 
     def await_nodes(self, name: str, limit: float) -> None:
-        """Wait until the nodes to wait for are there; CaptureSimError after ``limit`` s (wall).
+        """Wait until all awaited nodes are present; CaptureSimError after ``limit`` s (wall).
 
-        Without such nodes, wait until those that are there can have been discovered.
+        Without awaited nodes, wait for the time in which present nodes are usually discovered.
         """
         self._await_discovery()
         self._check_trials()

@@ -44,5 +44,5 @@ class RunEnd:
 
     @property
     def report(self) -> RunReport:
-        """What a node reports that lacks no more than the end says."""
+        """The report of a node that has noticed no loss beyond the reason of the end."""
         return RunReport((self.reason,) if self.reason else ())

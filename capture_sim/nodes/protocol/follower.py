@@ -1,7 +1,7 @@
-"""How a node takes part in runs, one after another: announced, ready, on, ended, done.
+"""How a node takes part in runs, one after another: announced, ready, active, ended, done.
 
-A run begins with a RunInfo and ends with its announcer's StreamCounts, a trial of a bench with a
-RunInfo without run.  What a node does with a run is in its :class:`RunPart`.
+A run begins with a RunInfo and ends with its announcer's StreamCounts.  A trial of a bench begins
+with a RunInfo without run.  A :class:`RunPart` defines the work of a node in a run.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class AnnouncedRun:
 
 
 class RunPart(Protocol):
-    """What a node does with a run."""
+    """The work of one node in a run."""
 
     def prepare(self, run: AnnouncedRun) -> None:
         """Get ready: messages may come from now on.  CaptureSimError if that is not possible."""
@@ -138,12 +138,12 @@ class _Participation:
 
 
 class Follower:
-    """Takes part in runs for a node.
+    """Takes part in runs on behalf of a node.
 
-    Call :meth:`follow` for each stream, then :meth:`join`, in the node's constructor, and
-    :meth:`work` as its work.  ``sources``: of the runs that the node takes part in.  A replay also
-    has to name the node if it has streams of its own, as the recorded ones may be played.  No run
-    waits for a node that is not ``on_roll``.
+    In the node's constructor call :meth:`follow` for each stream, then :meth:`join`; call
+    :meth:`work` as the node's work.  ``sources`` are the sources of the runs in which the node
+    takes part.  A replay also has to name a node that publishes streams of its own, because the
+    recorded streams may be played.  No run waits for a node that is not ``on_roll``.
     """
 
     def __init__(
@@ -176,10 +176,10 @@ class Follower:
         raw: bool = False,
         watch: Callable[[Any], None] | None = None,
     ) -> None:
-        """Subscribe to a stream; its messages are counted until the run's end.
+        """Subscribe to a stream and count its messages until the end of the run.
 
-        ``raw``: the callback takes the message's bytes.  ``watch`` is called with the messages of a
-        bench, also those that no run is on for.
+        With ``raw`` the callback receives a message's bytes.  ``watch`` is called with every
+        message of a bench, even outside of runs.
         """
 
         def take(message: Any) -> None:
@@ -230,7 +230,7 @@ class Follower:
         return present.counts is None or not present.counts.complete
 
     def note_message(self, topic: Topic) -> None:
-        """Note a message of the run besides those that are followed."""
+        """Note a message of the run on a topic that the node does not follow."""
         if self._present is not None:
             self._present.note_message(topic)
 

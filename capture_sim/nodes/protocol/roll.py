@@ -43,7 +43,7 @@ FREE, READY, DONE = 0, 1, 2
 
 @dataclass(frozen=True)
 class RunReport:
-    """What a participant reports of a run at its end."""
+    """The report of a participant at the end of a run."""
 
     problems: tuple[str, ...] = ()  # a line each; empty if nothing is missing
     file: str = ""  # recording, if it has written one
@@ -263,11 +263,11 @@ class Roll:
             self._node.get_logger().warning(one_line(text))
 
     def is_there(self, participant: str) -> bool:
-        """Return True if a participant's publisher is there.
+        """Return True if a participant's publisher is present.
 
-        Of several nodes of one name, the newest are there, and those that were heard a moment ago.
-        On a busy machine a new node can be heard before it is discovered; it then must not replace
-        an older node of its name.
+        Of several nodes with one name, the newest count as present, and so do nodes that were heard
+        a moment ago.  The reason: on a busy machine a new node can be heard before it is
+        discovered, and must not replace an older node of its name then.
         """
         name = node_of(participant)
         count = self._nodes()[name] - (

@@ -1,9 +1,8 @@
-"""Play, pause and reset, of the simulator and of a player; without ROS.
+"""Play, pause and reset of the simulator and of a player, without ROS.
 
-Requests come while the running code waits, see :meth:`SimulationControl.tick`: so an answer is
-given at once, and nothing passes between a pause and its answer.  What ``simulation_interfaces``
-(ros-simulation, 2.1) says on a state or result is in its own definitions; its names and numbers
-are used here.
+Requests arrive while the running code waits, see :meth:`SimulationControl.tick`.  So a request is
+answered at once, and no message is sent between a pause and its answer.  States, results and their
+numbers are those of ``simulation_interfaces`` (ros-simulation, 2.1), which defines their meaning.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ SERVICE_PERIOD = 0.005
 
 
 class State(IntEnum):
-    """States of a simulation, as in SimulationState.msg; those for loading a world have no use."""
+    """States of a simulation, as in SimulationState.msg; those of loading a world are unused."""
 
     STOPPED = 0
     PLAYING = 1

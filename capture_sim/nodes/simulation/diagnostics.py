@@ -1,4 +1,4 @@
-"""What the simulator reports on the topic diagnostics: pace, lateness, integrator."""
+"""Diagnostics of the simulator: pace, lateness and integrator."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SimulatorDiagnostics:
         self._ticks = self._rounds = 0
 
     def end(self) -> None:
-        """Publish the numbers of the whole run."""
+        """Publish the diagnostics of the complete run."""
         self._on = False
         self._publish(whole=True)
 

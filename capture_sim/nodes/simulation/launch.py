@@ -39,9 +39,9 @@ NUMBERS = {
 
 
 class SimulatedLaunch(RunPart):
-    """Sends ARM and RELEASE, the launcher's state with every periodic sample, and ABORT.
+    """Publishes ARM, RELEASE and ABORT, and the launcher's state with every periodic sample.
 
-    The decisions are those of :class:`capture_sim.launcher.state_machine.Launcher`.
+    :class:`capture_sim.launcher.state_machine.Launcher` makes the decisions.
     """
 
     # of the run that is on, or the last one

@@ -51,7 +51,7 @@ class RunPacer:
 
     @property
     def factor(self) -> float:
-        """Simulated seconds per second; changed on the way, time goes on from where it is."""
+        """Simulated seconds per second; a change in a run takes effect from the present time on."""
         return self._factor
 
     @factor.setter
@@ -97,7 +97,7 @@ class RunPacer:
 
     @property
     def running(self) -> bool:
-        """Whether time goes on: after a tick in its turn, until it is held."""
+        """True while simulated time advances: from a tick in turn until a pause."""
         return self._origin is not None
 
     @property

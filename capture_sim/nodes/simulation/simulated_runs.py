@@ -46,7 +46,7 @@ class RunOutcome:
 
 
 class LauncherLink:
-    """What a launcher has commanded for the run that is on."""
+    """Commands of a launcher for the present run."""
 
     def __init__(self, control: SimulationControl) -> None:
         self._control = control
@@ -61,7 +61,7 @@ class LauncherLink:
         self.armed, self.is_released = None, False
 
     def pending(self) -> str:
-        """Return what the run waits for; empty once it is released."""
+        """Return the reason why the run waits; empty once the chaser is released."""
         return "" if self.armed and self.is_released else "waiting for the release"
 
     def receive(self, command: Any) -> None:
@@ -205,9 +205,9 @@ class SimulatedRuns:
         return ""
 
     def _check_part(self, part: RollPart) -> None:
-        """Raise CaptureSimError beside a trial, or an older simulator or player.
+        """Raise CaptureSimError during a trial, or if another simulator or player came first.
 
-        With two of them no stream is complete.
+        Two of them publish the same streams, and no stream would be complete.
         """
         self._announcer.check_part(part)
         if part.role in (SIMULATOR, PLAYER) and part.number < number_of(self._roll.id):

@@ -43,11 +43,11 @@ class Stepping:
         self._thrust = thrust
 
     def run(self, send: Callable[[Topic, Any], bool], show: Callable[[np.void], None]) -> str:
-        """Send the run; return why it failed, or an empty text.
+        """Publish the run; return the reason why it failed, or an empty text.
 
-        ``send`` is called with every topic and serialised message and returns whether it was sent;
-        ``show`` with every sample that periodic messages were made of, after them.  After RunCut or
-        KeyboardInterrupt, what was made ahead does not count as sent.
+        ``send`` is called with every topic and serialised message, and returns True if the message
+        was sent.  ``show`` is called after that, with every sample of the periodic messages.  After
+        RunCut or KeyboardInterrupt, messages that were prepared ahead do not count as sent.
         """
         made, sent = dict(self._telemetry.by_topic), Counter[Topic]()
         failure = ""

@@ -38,7 +38,7 @@ class CommandedVehicle:
         node.listen(topic, self._receive)
 
     def begin(self) -> None:
-        """Forget what was received before."""
+        """Discard all commands that were received before."""
         self._stamp = -1  # ns, of the newest command
         self._wrench: BodyWrench | None = None
 
@@ -85,11 +85,11 @@ class CommandedVehicle:
 
 
 class ThrustCommands:
-    """What a run's thrusters are commanded by nodes.
+    """The thruster commands of nodes for a run.
 
-    A node in ``wait_for`` that commands a vehicle answers each of its odometry messages, with their
-    stamp, and simulated time waits for the answer, ``timeout()`` s (wall) at most.  The commands of
-    other nodes take effect at the next instant of ``run.rate``.
+    A node in ``wait_for`` that commands a vehicle answers each of its odometry messages with a
+    command of the same stamp.  Simulated time waits for the answer, at most ``timeout()`` s (wall).
+    Commands of other nodes take effect at the next instant of ``run.rate``.
     """
 
     def __init__(

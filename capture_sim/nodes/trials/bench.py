@@ -1,8 +1,8 @@
-"""The bench of a trial over DDS: measurements and verdict come in, launcher/hold goes out.
+"""The bench of a trial over DDS: it reads measurements and verdict, and publishes launcher/hold.
 
-The decisions are those of :class:`capture_sim.trial.trial.Trial`: messages and a timer reach it in
-callbacks, and launcher/hold follows it there.  Every callback sends launcher/hold if that is due,
-so it is late by the longest of them at most.
+:class:`capture_sim.trial.trial.Trial` makes the decisions; messages and a timer reach it in
+callbacks.  Every callback publishes launcher/hold if it is due, so launcher/hold is late by the
+longest callback at most.
 """
 
 from __future__ import annotations
@@ -248,7 +248,7 @@ class TrialBench:
         self._conflict = conflict
 
     def _check_plausibility(self) -> None:
-        """Note by which rules nothing may be let go; log those that only doubt."""
+        """Note the broken rules that forbid a release; log those that only cast doubt."""
         scene = self._scene if self._trial is None else self._trial.scene
         doubts = self.evidence.before_release(scene)
         grave = refusing(doubts)

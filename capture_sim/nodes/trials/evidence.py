@@ -1,4 +1,4 @@
-"""What the rules of plausibility look at before a release and after a verdict."""
+"""Evidence for the rules of plausibility before a release and after a verdict."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _PREFIXES = {"geometry_msgs/msg/PoseStamped": "pose", "nav_msgs/msg/Odometry": "
 
 
 class Evidence:
-    """The last seconds, and the trial since its release, as the rules look at them.
+    """Measurements for the rules: the last seconds, and the trial since its release.
 
-    ``waived``: names of rules that are not checked; others than those of plausibility are ignored.
+    ``waived`` are the names of rules that are not checked.  Names of other rules are ignored.
     """
 
     def __init__(self, waived: Collection[str]) -> None:
