@@ -20,10 +20,10 @@ _LIVE_RATES = (0.8, 1.25)
 
 
 class ClockOffsets:
-    """Compares the sources' clocks while their messages arrive.
+    """Compares the clocks of the sources while their messages arrive.
 
-    A source's offset is that of its fastest message so far, as in NTP's clock filter: a machine
-    that halts and a driver that is late delay messages, and none can come too early.
+    The offset of a source is that of its fastest message so far, as in NTP's clock filter.  A
+    halted machine or a late driver delays messages, but no message can arrive too early.
     """
 
     def __init__(self) -> None:

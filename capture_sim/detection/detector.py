@@ -165,12 +165,12 @@ class CaptureDetector:
 
     @property
     def clocks_differ(self) -> bool:
-        """True if a source's clock is so far from the others' that there is no verdict."""
+        """True if the sources' clocks differ by too much for a verdict."""
         return self.clock_offset is not None and abs(self.clock_offset[1]) > MAX_OFFSET
 
     @property
     def warnings(self) -> list[str]:
-        """What an operator should know now, a line each."""
+        """Present warnings for an operator, one line each."""
         lines = []
         if self.clock_offset:
             source, lead = self.clock_offset

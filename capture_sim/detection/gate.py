@@ -101,8 +101,9 @@ class _Run:
     def is_confirmed(self) -> bool:
         """True if the vehicle has returned to its path.
 
-        Wrong frames often follow lost ones.  After lost frames a vehicle may be as far away as
-        they are, so what agrees with no less than that needs as many poses as the begin.
+        Wrong frames often follow lost ones.  After lost frames the vehicle may be as far away as a
+        wrong frame.  A pose that agrees only because of that needs as many poses to confirm it as
+        at the start.
         """
         return self.is_reachable and len(self.poses) >= (_START if self.is_far else _CONFIRM)
 

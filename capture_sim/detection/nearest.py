@@ -28,7 +28,7 @@ class Half(NamedTuple):
 
     @property
     def square(self) -> float:
-        """Squared distance, m^2, without what noise adds to it on average; may be negative."""
+        """Squared distance without the mean contribution of noise, m^2; it may be negative."""
         square = self.axial**2 + self.lateral**2
         return square - self.axial_variance - self.lateral_variance
 
@@ -69,10 +69,10 @@ class ClosestApproach:
 
     @property
     def estimate(self) -> tuple[float, float]:
-        """The closest approach and its standard error, m, which is 0 if it is exact.
+        """The closest approach and its standard error, m; the error is 0 for an exact path.
 
-        Where noise does not allow to tell it from 0, the error is infinite, and the first number is
-        what it is below.  Without a position the first number is infinite.
+        If noise hides whether the closest approach is 0, the error is infinite and the first number
+        is an upper limit.  Without a position the first number is infinite.
         """
         if math.isnan(self._squares[0]):
             return self._exact, 0.0

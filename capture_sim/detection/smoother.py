@@ -134,8 +134,8 @@ class TipPath:
     ) -> list[Place]:
         """Add a measurement at ``t`` (s), later than the last; return the places that it completes.
 
-        ``buffer_noise`` is the standard deviation that the buffer's measurements add to it, m;
-        ``least_noise`` that of quantised poses, m.
+        ``buffer_noise`` (m) is the standard deviation that the buffer's measurements add, and
+        ``least_noise`` (m) that of quantised poses.
         """
         self._buffer_noise, self._least_noise = buffer_noise, least_noise
         self._t.append(t)
@@ -176,9 +176,10 @@ class TipPath:
         return Place._make((t, *numbers, n))
 
     def halves(self, t: float) -> tuple[Half, Half]:
-        """Return the place at ``t`` by every other measurement, and by those between.
+        """Return two places at ``t``: by every other measurement, and by the measurements between.
 
-        The window is halved until a parabola explains all measurements in it: no touch is in it.
+        The window is halved until one parabola explains all measurements in it, so no touch is in
+        it.
         """
         sigma = np.maximum(self._deviation, 1e-12)
         half_window, narrower = self._half_window, self._window(t, 0.5 * self._half_window)

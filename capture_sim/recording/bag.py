@@ -1,4 +1,4 @@
-"""A recording of one run: its topics, how it was made, its clock, and what is missing from it."""
+"""A recording of one run: its topics, its origin, its clock, and the parts that it lacks."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class BagFiles(NamedTuple):
 
 
 def is_bag_file(name: str) -> bool:
-    """Return True if a file's name is that of a bag's file, compressed or not."""
+    """Return True if a file has the name of a bag's file, compressed or not."""
     return _NAME.fullmatch(name) is not None
 
 
@@ -104,7 +104,7 @@ def _listed(path: Path, left_out: dict[str, str]) -> list[Path] | None:
 
 
 def _continues(file: Path, files: Sequence[Path]) -> bool:
-    """Return True if a file has the number that follows that of the last one."""
+    """Return True if a file has the number after that of the last file."""
     last, (number, stem, suffix) = files[-1], _parts_of(file)
     last_number, last_stem, last_suffix = _parts_of(last)
     return (stem, suffix, number) == (last_stem, last_suffix, last_number + 1) and number > 0

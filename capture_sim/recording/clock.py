@@ -51,9 +51,9 @@ class Clock(NamedTuple):
         return (stamps - self.release) / 1e9
 
     def since_by_trial(self, stamps: np.ndarray) -> np.ndarray:
-        """Return stamps by the trial's clock or by that of the poses, ns, as times, s.
+        """Return stamps as times since the release, s; the stamps (ns) are by one of two clocks.
 
-        A node goes by the trial's clock until it knows the bench's.
+        A node stamps by the trial's clock until it knows the clock of the bench's poses.
         """
         is_trial = np.abs(stamps - self.trial_release) < np.abs(stamps - self.release)
         return (stamps - np.where(is_trial, self.trial_release, self.release)) / 1e9

@@ -74,7 +74,7 @@ def read_contents(path: Path, ratio: float = UNPACKED_RATIO) -> Contents:
 
 
 def _put_in_order(contents: Contents) -> list[str]:
-    """Sort the messages of each topic by their log times; return what is odd in these."""
+    """Sort the messages of each topic by log time; return a line for each irregular log time."""
     lines: list[str] = []
     used = {topic: sorted(times) for topic, times in contents.log_times.items() if times}
     low, high = (
@@ -107,7 +107,7 @@ def _note_rejected(contents: Contents, rejected: Mapping[tuple[str, str], int]) 
 
 
 def rename_topics(contents: Contents, recorded_names: Mapping[str, str]) -> None:
-    """Give topics the bench's names; ``recorded_names`` are those in the file, by the bench's.
+    """Give topics the bench's names; ``recorded_names`` maps these names to the names in the file.
 
     RecordingError if a topic is in the file under neither name, or under both.
     """

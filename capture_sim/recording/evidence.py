@@ -1,4 +1,4 @@
-"""What the sensors in a bag have measured, for the rules of plausibility."""
+"""Measurements of the sensors in a bag, for the rules of plausibility."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a recording is worth: a row for each topic, and what is missing for each command."""
+"""Quality of a recording: a row for each topic, and the parts that each command lacks."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _USES = {
 
 @dataclass(frozen=True)
 class SeriesRow:
-    """One topic of a recording; None for what is not known.  Times are s since the release."""
+    """One topic of a recording; times are s since the release, None if a value is not known."""
 
     topic: str
     type: str
@@ -120,7 +120,7 @@ def _columns(series: Series) -> np.ndarray:
 
 
 def missing_for(run: Run) -> dict[str, list[str]]:
-    """Return what a run lacks for ``detect``, ``compare`` and ``identify``, by command."""
+    """Return, by command, the parts that ``detect``, ``compare`` and ``identify`` lack."""
     refused = [d.rule.name for d in run.doubts if d.grade is Grade.REFUSED]
     common = [f"rule {name} kept" for name in dict.fromkeys(refused)]
     vehicles = [v for v in ("chaser", "target") if not run.measured(v).t.size]

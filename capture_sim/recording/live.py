@@ -123,7 +123,11 @@ class LiveRecorder:
             self._queue.put(topic, data, stamp)
 
     def close(self) -> RecordingReport:
-        """Write the waiting messages, close the file and return the report, every time the same."""
+        """Write all waiting messages, then the closing metadata, and close the file.
+
+        RecordingError if the disk stalls; the file then ends with the last message that was
+        written.
+        """
         if self._report is None:
             problems = self._completeness.problems()
             self._report = RecordingReport(
@@ -159,10 +163,9 @@ class LiveRecorder:
 
 
 def _open_new(directory: Path, run: RunDescription, **options: Any) -> RunWriter:
-    """Open ``<name>.mcap``; where that exists ``<name>_2.mcap``, and so on.
+    """Open ``<name>.mcap``; if that file exists, ``<name>_2.mcap``, and so on.
 
-    A live recording has its name from the beginning, so that what a kill leaves is where one looks
-    for it.
+    A live recording has its final name from the start, so after a kill its user finds it there.
     """
     while True:
         path = free_path(directory / f"{file_name(run.name)}.mcap")
@@ -181,8 +184,8 @@ _Waiting = tuple[Topic, bytes, int | None]
 class _WriteQueue:
     """Hands messages to the file in a thread of its own, in batches, in bounded memory.
 
-    The thread looks every :data:`WRITE_PERIOD` instead of being woken by each message: at 1 kHz
-    the waking costs more than the writing.  A failure is kept: every later call raises it too.
+    The thread polls every :data:`WRITE_PERIOD`.  Waking it for each message would cost more than
+    the writing at 1 kHz.  A failure is kept: every later call raises it too.
     """
 
     def __init__(self, writer: RunWriter, limit: int) -> None:

@@ -12,10 +12,10 @@ JUMP = 86_400 * 10**9
 
 
 def settle(log_times: Mapping[str, list[int]]) -> list[str]:
-    """Let log times that jump by more than :data:`JUMP` go on without a pause, in place.
+    """Remove jumps of more than :data:`JUMP` from log times, in place.
 
-    ``log_times``, ns, are those of each topic in the order of the file.  The clock with the most
-    messages is kept.  Return a line for each jump and for messages without a log time.
+    ``log_times``, ns, has those of each topic in the order of the file.  The clock with the most
+    messages is kept.  Return a line for each jump, and one for messages without a log time.
     """
     used = {topic: times for topic, times in log_times.items() if times}
     if not used:

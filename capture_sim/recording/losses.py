@@ -1,4 +1,4 @@
-"""What a recording lacks: lost messages and early ends, by sequence numbers and reported counts."""
+"""Losses of a recording: lost messages and early ends, by sequence numbers and reported counts."""
 
 from __future__ import annotations
 

@@ -23,8 +23,8 @@ from capture_sim.recording.contents import read_contents
 class Playback:
     """A file, or a bag's folder of files, to be played.
 
-    ``remaps`` are those of :func:`capture_sim.recording.bag.read_bag`.  RecordingError if it
-    cannot be read or contains no message.
+    ``remaps`` has the meaning that it has in :func:`capture_sim.recording.bag.read_bag`.
+    RecordingError if nothing can be read, or if there is no message.
     """
 
     def __init__(self, path: Path | str, remaps: Mapping[str, str] | None = None) -> None:
@@ -140,7 +140,7 @@ def replayed(
 ) -> tuple[RunDescription, bytes]:
     """Return a recorded RunInfo as a player announces it: its description, and serialised.
 
-    ``roles`` are those of the participants that have streams of their own.
+    ``roles`` are the roles of the participants that publish streams of their own.
     """
     message = decoded(RUN_INFO, data)
     message.source, message.announcer = str(RunSource.REPLAY), announcer

@@ -100,9 +100,9 @@ def run_of(bag: Bag, scene: Scene | None = None) -> Run:
 
 
 class GivenByBag(Given):
-    """What a bag gives of a run; a topic is decoded when it is first read.
+    """The data that a bag gives; a topic is decoded when it is first read.
 
-    A topic with a name of ours and a foreign type gives nothing.
+    A topic that has one of our names but another type gives nothing.
     """
 
     def __init__(self, bag: Bag, scene: Scene | None) -> None:
@@ -161,7 +161,7 @@ class GivenByBag(Given):
 
     @cached_property
     def evidence(self) -> Sequence[Measured]:
-        """What the sensors have measured."""
+        """Measurements of the sensors."""
         return evidence_in(self._bag)
 
 

@@ -1,4 +1,4 @@
-"""What the suite's nodes recorded of a run: samples, events, trace, statuses and criteria."""
+"""Recorded data of the suite's nodes: samples, events, trace, statuses and criteria."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ class RecordedTopics:
 
     @property
     def typed(self) -> dict[Topic, list[bytes]]:
-        """Messages by topic of the bench, of those that have their type in the file."""
+        """Messages by topic of the bench, for each topic that has its type in the file."""
         return {
             topic: messages
             for name, messages in self._contents.messages.items()
@@ -170,8 +170,8 @@ class RecordedTopics:
     def measured(self, topic: Topic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return stamps (n,), ns, values (n, m) and log times (n,), ns, of a detector's source.
 
-        Rates that a message lacks are NaN.  Messages that cannot be decoded, and those of other
-        joints, are left out (:meth:`unused`); MessageError if none can be decoded.
+        Rates that a message lacks are NaN.  Messages that cannot be decoded, and joint states of
+        other joints, are left out (:meth:`unused`).  MessageError if no message can be decoded.
         """
         if topic.name not in self._measured:
             self._measured[topic.name] = self._measurements(topic)

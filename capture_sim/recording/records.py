@@ -1,4 +1,4 @@
-"""What is read from a file of a recording: definitions, messages, and where it is damaged."""
+"""Data read from one file of a recording: definitions, messages, and its damaged places."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FIRST_BYTES = frozenset(magic[:1] for magic in MAGICS)
 
 
 class RecordContents(NamedTuple):
-    """What a record of the data section contains; a chunk contains several."""
+    """Contents of one record of the data section; a chunk contains several records."""
 
     entries: Sequence[Schema | Channel | Attachment | Metadata]
     messages: Sequence[StoredMessage] = ()
@@ -61,7 +61,7 @@ class Usable(NamedTuple):
 
 
 def usable(messages: Sequence[StoredMessage], limit: int) -> Usable:
-    """Return messages unpacked, at most ``limit`` bytes, without those that have no log time.
+    """Return messages unpacked to at most ``limit`` bytes; those that cannot be used are rejected.
 
     ValueError if they unpack to more.
     """

@@ -120,7 +120,7 @@ def _contents_of_plain(
 
 
 def _other_kind(head: bytes, path: Path, reason: str) -> str:
-    """Return what a file is that begins with some bytes, and what converts it; empty if unknown."""
+    """Return a file's kind by its first bytes, and a tool that converts it; empty if unknown."""
     if reason:
         return f": {reason}"
     if head.startswith(_ROS_1):

@@ -1,4 +1,4 @@
-"""The approach: how the chaser comes to the cone, and scenes that start just before the touch."""
+"""The approach of the chaser to the cone, and scenes that start just before the first touch."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RUN_UP = 2e-3
 
 @dataclass(frozen=True)
 class Approach(Checked):
-    """How the chaser comes to the cone: free, without rail and string, just before the touch."""
+    """The motion of the chaser just before the touch: free, without rail and string."""
 
     angle: float = quantity(
         "rad", Range(-math.pi / 2, math.pi / 2), default=0.0, doc="target's heading less chaser's"
@@ -58,7 +58,7 @@ APPROACH = tuple(f"approach.{name}" for name in declared(Approach))
 
 
 def approach_of(scene: Scene) -> Approach:
-    """Return how a scene's chaser comes to the cone.
+    """Return the approach of a scene's chaser to the cone.
 
     Raises SceneError if the straight path misses the cone.
     """
@@ -85,7 +85,7 @@ def with_approach(approach: Approach, given: Mapping[str, float]) -> Approach:
 
 
 def approached(scene: Scene, given: Mapping[str, Any]) -> Scene:
-    """Return a scene with this approach; values not given stay those of the scene.
+    """Return a scene with this approach; values that are not given keep the scene's.
 
     SceneError if a name or a value is invalid.
     """

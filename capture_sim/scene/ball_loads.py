@@ -21,7 +21,7 @@ def ball_loads(balls: np.ndarray, weight: float, x_com: float, y_com: float) -> 
 
 
 def chaser_com_offset(scene: Scene) -> float:
-    """Return the distance from the body's centre of mass forward to the whole chaser's, m."""
+    """Return the distance from the body's centre of mass forward to the complete chaser's, m."""
     cylinder = scene.buffer.hinge_offset - scene.cylinder.length / 2.0
     probe = scene.buffer.hinge_offset + scene.rest_length - scene.probe.com_offset
     moment = scene.cylinder.mass * cylinder + scene.probe.mass * probe

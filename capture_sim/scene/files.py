@@ -102,7 +102,7 @@ _Loader.yaml_constructors = _constructors
 
 
 def _whole(text: str) -> int | float:
-    """Return a whole number; an infinity, which no field accepts, if Python reads none so long."""
+    """Return an integer; infinity, which no field accepts, if it has too many digits for Python."""
     return int(text) if len(text) <= 4000 else -math.inf if text[0] == "-" else math.inf
 
 
@@ -178,8 +178,8 @@ def find_scene(name_or_path: str | Path, folder: Path | None = None) -> Path:
 def read_scene(path: Path, files: list[Path]) -> dict[str, Any]:
     """Return the values of a scene file, merged over the files that it extends, unchecked.
 
-    ``files`` are those that led here, first to last; this one and those that it extends are added.
-    SceneError if a file is invalid.
+    ``files`` are the files whose ``extends`` led to this one, in order; this file and the files
+    that it extends are appended.  SceneError if a file is invalid.
     """
     resolved = path.resolve()
     if resolved in files:

@@ -65,9 +65,9 @@ def nearest_on_wall(
 def wall_curvature(
     u: float, Y: float, distance: float, R_c: float, L_c: float, cos_b: float, sin_b: float
 ) -> float:
-    """Return the curvature of a wall's distance across the normal, 1/m; zero over its face.
+    """Return the curvature of a wall's distance function across the normal, 1/m; 0 over its face.
 
-    ``distance`` (m) is that of the tip's centre, see :func:`nearest_on_wall`.
+    ``distance`` (m) is the distance of the tip's centre, see :func:`nearest_on_wall`.
     """
     along = u * cos_b + (Y - R_c) * sin_b
     if 0.0 < along < L_c or distance == 0.0:

@@ -22,7 +22,7 @@ from enum import IntEnum
 
 
 class FrictionLaw(IntEnum):
-    """Laws of friction; their names in lower case are those of a scene."""
+    """Laws of friction; in a scene their names are in lower case."""
 
     TANH = 1
     CLAMP = 4

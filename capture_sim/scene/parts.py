@@ -638,7 +638,7 @@ class Scene(Checked):
 
     @cached_property
     def contact_stiffness(self) -> float:
-        """Stiffness K of the contact, N/m^p; without one of its own, of eq. (2), N/m^1.5."""
+        """Stiffness K of the contact, N/m^p; if the scene has none, that of eq. (2), N/m^1.5."""
         if self.contact.stiffness is not None:
             return self.contact.stiffness
         return (

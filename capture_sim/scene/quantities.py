@@ -292,7 +292,7 @@ def _described(part: type) -> Iterator[tuple[str, str, str, list[str]]]:
 
 
 def _field_lines(part: type) -> Iterator[str]:
-    """Yield a line for each field of a part and of its own parts."""
+    """Yield a line for each field of a part, and for the fields of parts in it."""
     for name, kind, meaning, inner in _described(part):
         if inner:
             yield from (f"{name}.{line}" for line in inner)

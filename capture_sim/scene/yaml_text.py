@@ -1,7 +1,7 @@
 """Scenes as YAML text: the bytes of PyYAML's ``safe_dump``, without its emitter.
 
-The emitter needs twice as long as a whole run, and the hash of a scene in every result is that of
-its text.  Recordings of all versions have such hashes, so the bytes must stay what they are.
+The emitter takes twice as long as a complete run, and every result contains the hash of its scene's
+text.  Recordings of all versions contain such hashes, so the bytes must not change.
 """
 
 from __future__ import annotations
