@@ -1,4 +1,4 @@
-"""What a sweep varies: fields of a scene and the approach, over values or a distribution."""
+"""Inputs that a sweep varies: fields of a scene and the approach, over values or a distribution."""
 
 from __future__ import annotations
 

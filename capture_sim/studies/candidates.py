@@ -178,10 +178,10 @@ _Result = tuple[Any, ...]
 
 
 class Archive:
-    """All runs of a design by what was run, in a journal or in memory alone.
+    """All runs of a design by their inputs, in a journal or in memory alone.
 
-    A run that is in the archive is not made again: so a design that was killed continues to the
-    same result as an undisturbed one.
+    A run in the archive is not repeated.  So a design that was killed continues to the same result
+    as an undisturbed one.
     """
 
     def __init__(self, journal: Journal | None = None) -> None:
@@ -199,7 +199,7 @@ class Archive:
         rows: Sequence[Sequence[float]],
         results: Sequence[_Result],
     ) -> None:
-        """Keep runs; those of ``kind`` ``earlier`` are of a design that this one begins with."""
+        """Keep runs; runs of ``kind`` ``earlier`` come from the design that this one continues."""
         if self._journal is not None:
             self._journal.add([kind, names, rows, results])
         self._learn(kind, names, rows, results)
@@ -218,7 +218,7 @@ class Archive:
             self._known[kind, tuple(names), tuple(row)] = tuple(result)
 
     def get(self, kind: str, names: tuple[str, ...], row: tuple[float, ...]) -> _Result | None:
-        """Return what came of a run; None if it was not made."""
+        """Return the outcome of a run; None if it was not made."""
         return self._known.get((kind, names, row))
 
 
@@ -281,7 +281,7 @@ class Evaluator:
         return self._with_ranges(found) if self._requirements.area else found
 
     def _run(self, rows: Sequence[Mapping[str, float]]) -> _Runs:
-        """Return some runs; those in the archive are not made again."""
+        """Return the outcomes of runs; only runs that are not in the archive are made."""
         names = tuple(rows[0])
         values = [tuple(row.values()) for row in rows]
         found = [self._archive.get(self._kind, names, row) for row in values]
@@ -331,7 +331,7 @@ class Evaluator:
         return violations
 
     def _with_ranges(self, found: list[Candidate]) -> list[Candidate]:
-        """Return candidates with their capture range, 0 for those far from feasible."""
+        """Return candidates with their capture range; it is 0 for candidates far from feasible."""
         area, least = self._requirements.area, self._requirements.least_range
         worth = [n for n, each in enumerate(found) if each.violation < _WORTH_AREA]
         nothing = [
@@ -392,7 +392,7 @@ class Evaluator:
     def _dispersed(
         self, values: Mapping[str, float], draw: Mapping[str, float]
     ) -> dict[str, float]:
-        """Return a candidate's values with a draw; that of a free value is one of its ratio."""
+        """Return a candidate's values with one draw; the draw of a free value is a factor of it."""
         buffer = fields_of(self._scene, values)
         found = {**buffer, **draw}
         for name in set(buffer) & set(draw):
@@ -414,7 +414,7 @@ class Evaluator:
     def with_draws(
         self, draws: Sequence[Mapping[str, float]], values: Sequence[Mapping[str, float]]
     ) -> list[Candidate]:
-        """Return candidates by all draws; those far from feasible by their own run alone."""
+        """Return candidates run with all draws; candidates far from feasible without draws."""
         found = self._alone(values)
         worth = [n for n, each in enumerate(found) if each.violation < _WORTH_DRAWS]
         for n, candidate in enumerate(found):
@@ -450,7 +450,7 @@ class Evaluator:
         violations: np.ndarray,
         required: int | None = None,
     ) -> Candidate:
-        """Return a candidate with its quantiles over draws: what the required share keeps."""
+        """Return a candidate with the quantiles of its draws at the required share of runs."""
         rank = (required or self._required(len(violations))) - 1
         quantiles = np.sort(np.nan_to_num(loads), axis=0)[rank].tolist()
         # its own violation has that of the capture range

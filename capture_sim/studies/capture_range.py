@@ -178,7 +178,7 @@ def ranges_of_sweep(
 ) -> dict[tuple[Any, ...], CaptureRange]:
     """Return the capture ranges of a sweep over a grid, by the values of its other axes.
 
-    The area is that of :func:`area_of_map`; empty where there is none.
+    :func:`area_of_map` defines the area.  The result is empty if the sweep has no such grid.
     """
     area = area_of_map([axis for axis in samples.axes if len(axis.values) != 1])
     if not area or len(table) < len(samples.rows):

@@ -66,11 +66,11 @@ class Side:
 
 
 def sides(a: Run, b: Run) -> tuple[Side, Side]:
-    """Choose the series that two runs are compared by.
+    """Choose the series by which two runs are compared.
 
-    Of each quantity those are chosen, one of each run, whose slower one is fastest; of equal ones
-    those of one topic, then motion capture before odometry.  RecordingError if a run contains no
-    contact to align it by.
+    For each quantity one series of each run is chosen, so that the slower of the two is as fast as
+    possible.  Among equal rates, two series of one topic come first, then motion capture before
+    odometry.  RecordingError if a run contains no contact for the alignment.
     """
     sources_a, sources_b = _sources(a), _sources(b)
     chosen_a: dict[str, str] = {}
@@ -89,10 +89,11 @@ def sides(a: Run, b: Run) -> tuple[Side, Side]:
 
 
 def characteristics(side: Side, *, sampled: bool = False) -> dict[str, RunFigure]:
-    """Return the run in a few numbers, by name with the unit; unmeasured values are absent.
+    """Return a run's characteristic numbers by name with the unit; unmeasured numbers are absent.
 
-    Forces and times are those of the touches located between samples, if they are recorded.
-    ``sampled`` adds the largest sample of the force, for a run whose other side has only that.
+    Forces and times are taken from the touches located between samples, if these are recorded.
+    ``sampled`` adds the largest sample of the force, for a comparison with a run that has only
+    samples.
     """
     figures = {"first contact, s": RunFigure(side.contact, side.contact_source)}
     touches = side.run.given.touches
@@ -213,12 +214,12 @@ PAIR_TIME, PAIR_SHARE = 0.005, 0.1
 
 
 def pair_touches(a: Touches, b: Touches) -> list[tuple[int | None, int | None]]:
-    """Return the touches of two runs that correspond, by index; None for one without a partner.
+    """Return the corresponding touches of two runs, by index; None for a touch without a partner.
 
-    Touches of a pair are at the same wall, and near each other in time.  Pairs keep their order;
-    of all such pairings that with the least total of time differences is chosen, in which a touch
-    without a partner counts half of the largest difference of a pair.  Times must count from the
-    first contacts; an unknown wall is every wall.
+    The touches of a pair are at the same wall and near each other in time, and pairs keep their
+    order.  The chosen pairing has the least sum of time differences; a touch without a partner
+    counts half of the largest permitted difference.  Times must count from the first contacts.  An
+    unknown wall matches every wall.
     """
     count_a, count_b = a.start.size, b.start.size
     limits = [PAIR_TIME + PAIR_SHARE * abs(t) for t in (*a.start.tolist(), *b.start.tolist())]
@@ -272,10 +273,10 @@ class Gap(NamedTuple):
 def overlap(
     a: Series, b: Series, contact_a: float, contact_b: float, window: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return when both series were sampled, (n,), s after the first contacts, and counts (2,).
+    """Return common sample times (n,), s after the first contacts, and the counts of samples (2,).
 
-    The counts are the samples of each in the interval that both hold.  The times are those of the
-    series with fewer of them: the other one is finer, and interpolated.
+    Each count is the number of samples of one series in the common interval.  The times are those
+    of the series with fewer samples; the finer series is interpolated.
     """
     mine, theirs = a.t - contact_a, b.t - contact_b
     begin = max(0.0, mine[0], theirs[0]) - TICK

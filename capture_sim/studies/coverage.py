@@ -31,9 +31,9 @@ def cover(
     seed: int,
     begin: Sequence[Sequence[float]] = (),
 ) -> Iterator[list[Candidate]]:
-    """Search with so many runs, and yield each population after it was added to the points.
+    """Search with ``runs`` runs, and yield each population after it was added to the points.
 
-    ``begin`` are places of buffers that the first population has.
+    ``begin`` are the coordinates of buffers that the first population contains.
     """
     from pymoo.algorithms.moo.nsga2 import NSGA2
     from pymoo.core.evaluator import Evaluator as Marker

@@ -202,7 +202,7 @@ def costs_of_limits(
     executor: Executor | None = None,
     candidates: int | None = None,
 ) -> tuple[LimitCost, ...]:
-    """Return what the active limits of a row cost in the objectives, with a share of the budget."""
+    """Return the costs of a row's active limits in the objectives, from a share of the budget."""
     scene, requirements = search_scene(design.scene), search_requirements(design.requirements)
     runs = Evaluator(scene, requirements, seed, executor or InProcess(), None, design.archive)
     draws = runs.draws(requirements.draws, 0) if requirements.under is not None else []

@@ -39,8 +39,8 @@ class Probability(NamedTuple):
 def probability(is_met: np.ndarray, failed: int = 0) -> Probability:
     """Return the share of runs that meet a condition, with its Clopper-Pearson interval.
 
-    ``is_met`` (n,) are the runs that were computed, ``failed`` those that could not be; NaN without
-    runs.
+    ``is_met`` (n,) has the computed runs, and ``failed`` is the number of runs that could not be
+    computed.  NaN without runs.
     """
     from scipy.stats import binomtest
 
@@ -186,9 +186,9 @@ def complete_samples(table: pandas.DataFrame, inputs: Sequence[str]) -> pandas.D
 def sobol_indices(
     table: pandas.DataFrame, inputs: Sequence[str], load: str, seed: int = 1
 ) -> Indices | None:
-    """Return the indices of a load from runs of Saltelli's design; None where it does not vary.
+    """Return the indices of a load from runs of Saltelli's design; None if the load does not vary.
 
-    ``inputs`` are in the order of the design, which is that of their names.
+    ``inputs`` are in the order of the design, i.e. sorted by name.
     """
     from SALib.analyze import sobol
 

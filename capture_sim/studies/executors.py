@@ -67,9 +67,9 @@ _ENDING = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Handle a Ctrl-C or SIGTERM at the end only; a process that is started inside is spared it.
+    """Postpone Ctrl-C and SIGTERM to the end, and shield processes that are started inside.
 
-    A process that is half started prints a traceback of its own, or stays behind.
+    A process that is interrupted while it starts prints a traceback, or is never ended.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)  # a process inherits it
     held: list[int] = []

@@ -47,8 +47,8 @@ def knee(points: np.ndarray) -> int:
 def spread_points(points: np.ndarray, most: int, marked: Sequence[int] = ()) -> list[int]:
     """Return the indices of at most ``most`` points spread over a front.
 
-    These are its ends, the marked points, and then always the point farthest from those before.
-    They are in the order of the first objective.
+    The selection takes the ends and the marked points, and then repeatedly the point farthest from
+    all selected points.  The indices are in the order of the first objective.
     """
     scaled = _scaled(points)
     chosen = list(dict.fromkeys([*marked, *scaled.argmin(axis=0).tolist()]))[:most]

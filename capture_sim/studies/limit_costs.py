@@ -43,7 +43,7 @@ class CostChange(NamedTuple):
 
 @dataclass(frozen=True)
 class LimitCost:
-    """What a wider limit brings; a negative change of a load is a gain."""
+    """The effect of a wider limit; a negative change of a load is a gain."""
 
     limit: Limit
     use: float  # share of the limit

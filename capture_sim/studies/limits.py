@@ -1,4 +1,4 @@
-"""What a study limits or minimises: the loads of its runs, and the capture range."""
+"""Quantities that a study limits or minimises: the loads of its runs, and the capture range."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MAX_OBJECTIVES = 3
 
 @dataclass(frozen=True)
 class Measure:
-    """A load of the whole run or until the latch closes, or the capture range."""
+    """A load of the entire run, or until the latch closes; or the capture range."""
 
     key: str  # of the load in results and tables, e.g. max_torsion_before_latch
 

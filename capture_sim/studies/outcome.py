@@ -31,7 +31,7 @@ CAPTURED = CaptureState.CAPTURED.label
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a run; SI units.  After a failure, all of it is of the run up to there."""
+    """The outcome of a run, SI units; after a failure, that of the run up to the failure."""
 
     verdict: str  # captured, rebound, missed, stuck or undecided
     t: float  # of the verdict, s since the release
@@ -50,10 +50,10 @@ class Outcome:
 
 
 def run_to_verdict(scene: Scene) -> Outcome:
-    """Run a scene until the detector has come to its verdict, or as far as ``run.t_end``.
+    """Run a scene until the detector reaches its verdict, or to ``run.t_end``.
 
-    ``run.rate`` is the detector's.  Loads are those up to the end of the last piece that was run:
-    at most 20 measurements of the detector later than the verdict.
+    ``run.rate`` is the rate of the detector.  Loads cover the run to the end of the last computed
+    piece: at most 20 measurements of the detector after the verdict.
     """
     run = Integration(scene)
     run.integrate_to_verdict()

@@ -76,7 +76,7 @@ class FirstContactTarget(Checked):
 
     @property
     def limits(self) -> tuple[Limit, ...]:
-        """The target as limits of the whole run."""
+        """The target as limits of the entire run."""
         limits = [
             Limit("max_axial_stroke_in", self.axial_stroke),
             Limit("max_axial_stroke_out", self.axial_stroke),
@@ -135,7 +135,7 @@ class FirstContactDesign:
 
     @property
     def exceeded(self) -> tuple[Limit, ...]:
-        """The limits that the whole run exceeds: the target leaves room for that."""
+        """The limits that the entire run exceeds by more than the accepted error of a target."""
         if self.outcome is None:
             return ()
         wider = [
@@ -147,7 +147,7 @@ class FirstContactDesign:
 
 @dataclass(frozen=True)
 class Springs:
-    """The best springs found: N/m, N m/rad, what they do, and the larger relative error."""
+    """The best springs found, N/m and N m/rad, with their results and the larger relative error."""
 
     k_A: float
     k_T: float
@@ -368,10 +368,10 @@ class _Flow:
         return max(runs, key=lambda run: run.stop - run.start, default=None)
 
     def refined_grid(self, grid: Sequence[float], tried: Sequence[_Damper]) -> list[float]:
-        """Return dampers between those tried, next to the promising ones.
+        """Return dampers between the dampers tried so far, next to the promising ones.
 
-        Promising are all captures, as the force jumps from one touch sequence to the next;
-        without any, the dampers that bring the tip nearest.
+        Every capture is promising, because the force jumps from one touch sequence to the next.
+        Without a capture, the dampers that bring the tip nearest are promising.
         """
         nearest = [damper.nearest for damper in tried]
         promising = [n for n, damper in enumerate(tried) if damper.outcome.captured]

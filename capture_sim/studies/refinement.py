@@ -35,13 +35,13 @@ _SMALL, _NEXT = 1e-6, 0.3
 
 @dataclass(frozen=True)
 class Goal:
-    """What a row of the front minimises: a weighted sum of costs, the others below ceilings."""
+    """The objective of a row's refinement: a weighted sum of costs, the others below ceilings."""
 
     weights: tuple[float, ...]  # of each objective's cost, see Measure.cost
     ceilings: tuple[float, ...]  # of each objective's cost; infinite without
 
     def values(self, costs: np.ndarray, violations: np.ndarray) -> np.ndarray:
-        """Return what is minimised, of costs (n, objectives) and violations (n,)."""
+        """Return the objective's values from costs (n, objectives) and violations (n,)."""
         above = np.max(costs - np.array(self.ceilings), axis=1)
         excess = np.maximum(np.maximum(above, violations), 0.0)
         return np.asarray(costs @ np.array(self.weights) + PENALTY * excess)
@@ -90,7 +90,7 @@ class CandidatePoints:
         return np.array(self._violations)
 
     def goal_values(self, goal: Goal) -> np.ndarray:
-        """Return what a goal minimises, of each candidate."""
+        """Return the value of a goal for each candidate."""
         return goal.values(self.costs, self.violations)
 
     def best_values(self, goals: Sequence[Goal]) -> np.ndarray:

@@ -140,7 +140,7 @@ def _places(
 def _grown(
     requirements: Requirements, found: Candidate, own: Candidate
 ) -> tuple[tuple[Measure, float], ...]:
-    """Return the loads without a limit that are far beyond those of the own buffer."""
+    """Return the unlimited loads that are far above those of the user's own buffer."""
     known = {each.key for each in (*requirements.objectives, *requirements.limits)}
     grown = []
     for key in WATCHED:

@@ -176,7 +176,7 @@ def _draw(names: Sequence[str], runs: int, sample: str, seed: int) -> np.ndarray
 
 
 def problem_of(axes: int) -> dict[str, Any]:
-    """Return SALib's description of so many independent shares from 0 to 1."""
+    """Return SALib's description of ``axes`` independent inputs from 0 to 1."""
     return {
         "num_vars": axes,
         "names": np.array([str(k) for k in range(axes)]),  # pandas 3 refuses a list of SALib 1.5

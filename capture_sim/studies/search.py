@@ -302,7 +302,7 @@ class DesignSearch:
             self._words.append(CONVERGED if agrees else words)
 
     def _rows_of_budget(self, doubts: np.ndarray, allowed: float, per_pass: int) -> list[int]:
-        """Return the rows with the largest doubts above what is allowed, as the budget has room."""
+        """Return the rows with the largest doubts above the permitted one, within the budget."""
         room = int(self._left / (0.95 * per_pass))
         asked = [k for k in np.argsort(-doubts, kind="stable").tolist() if doubts[k] > allowed]
         return sorted(asked[:room])
@@ -411,7 +411,7 @@ class DesignSearch:
         return [rows[k] for k in sorted(chosen, key=lambda k: tuple(costs[k]))]
 
     def _earlier(self) -> list[dict[str, float]]:
-        """Return the buffers of an earlier design that are best here, apart in what they trade."""
+        """Return an earlier design's buffers that are best here, spread over their trade-offs."""
         names = [each.name for each in self.variables]
         found = []
         for known, values in self.archive.earlier:
@@ -514,7 +514,7 @@ def _rounded_up(share: float) -> str:
 
 
 def _promising(points: CandidatePoints, requirements: Requirements) -> list[int]:
-    """Return the points to begin with under dispersions: the best, and those with much margin."""
+    """Return the start points under dispersions: the best ones, and ones with a large margin."""
     feasible = np.flatnonzero(points.violations <= 0.0)
     if not feasible.size:
         return []

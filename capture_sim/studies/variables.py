@@ -1,4 +1,4 @@
-"""What a design may choose: free values of a scene, each with the range that is searched."""
+"""Free values of a design, each with the range that is searched."""
 
 from __future__ import annotations
 
@@ -101,8 +101,8 @@ def make_variables(
 ) -> tuple[FreeVariable, ...]:
     """Return the values to search with their ranges or catalogues.
 
-    Ranges that are not given are those around a buffer that absorbs the energy of the approach
-    within the limits of its strokes.  SceneError if a name or a range is invalid.
+    A missing range is set around a buffer that absorbs the energy of the approach within the limits
+    of its strokes.  SceneError if a name or a range is invalid.
     """
     usual = _usual_ranges(scene, limits)
     variables: list[FreeVariable] = []

@@ -1,4 +1,4 @@
-"""One bench from its trials: the joint fit, its tests, and what it predicts."""
+"""Calibration of one bench from its trials: the joint fit, its tests, and its predictions."""
 
 from __future__ import annotations
 
@@ -287,7 +287,7 @@ def _touches_of(run: Run) -> Touches | None:
 def predicted(
     found: Calibration, scene: Scene, placement: Placement | None = None, *, seed: int = 0
 ) -> Prediction:
-    """Return what a calibrated bench does in another scene."""
+    """Return the prediction of a calibrated bench in another scene."""
     assert found.problem is not None
     assert found.linear is not None
     k = found.problem.shared
@@ -342,8 +342,8 @@ def fit_trials(
 ) -> Calibration:
     """Fit parameters to trials and test the fit; see :func:`calibrate`.
 
-    ``is_noise_known``: the noises of the trials are right as they are.  ``has_scores``: also search
-    for what the model lacks.
+    ``is_noise_known`` is True if the noises of the trials are correct and need no estimate.
+    ``has_scores`` also searches for effects that the model lacks.
     """
     compile_kernels()
     counted = _Progress(
@@ -508,7 +508,7 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
 
 
 def lacking_text(one: Lacking) -> str:
-    """Return what the model lacks, in words."""
+    """Return the effects that the model lacks, in words."""
     value = (
         f"{one.estimate:.4g} +- {one.error:.2g}"
         if math.isfinite(one.error)
@@ -522,7 +522,7 @@ def lacking_text(one: Lacking) -> str:
 
 
 def _block_finding(blocks: Sequence[BlockMean], problem: Problem) -> Finding | None:
-    """Return the finding on the means of residuals; None if they are those of noise."""
+    """Return the finding on the means of residuals; None if the means are consistent with noise."""
     if not blocks:
         return None
     worst = min(blocks, key=lambda block: (block.p, -block.statistic / block.means))

@@ -35,7 +35,7 @@ _STOP_SHARE, _STOP_STIFFNESS = 0.95, 2e4
 
 
 class Score(NamedTuple):
-    """What one more parameter would change."""
+    """The estimated change if one more parameter were fitted."""
 
     name: str  # as --fit takes it; of the stops, their part
     words: str

@@ -36,7 +36,7 @@ VAGUE = 0.5
 
 
 class Finding(NamedTuple):
-    """A reason why a fit does not count, and what to do about it."""
+    """A reason why a fit cannot be trusted, and the remedy."""
 
     kind: str
     text: str
@@ -191,7 +191,7 @@ def undetermined(at: Linear, problem: Problem) -> list[tuple[np.ndarray, float]]
 
 
 def direction_words(parameters: Sequence[Parameter], direction: np.ndarray) -> tuple[str, str]:
-    """Return what a direction without information means, and what to do about it."""
+    """Return the meaning of a direction without information, and the remedy."""
     main = np.flatnonzero(np.abs(direction) > 0.25 * np.abs(direction).max()).tolist()
     names = [parameters[i].name for i in main]
     if len(names) == 1:

@@ -128,7 +128,7 @@ def step_covariance(at: Linear, problem: Problem) -> np.ndarray:
 
 
 def weak_prior(problem: Problem, begin: np.ndarray) -> Prior:
-    """Return what was weighed, and weak knowledge of the rest, for early fits."""
+    """Return the prior of weighed values, and weak priors for all others, for early fits."""
     known = problem.weighed()
     centre, error = known.centre.copy(), known.error.copy()
     for k, parameter in enumerate(problem.parameters):
@@ -252,7 +252,7 @@ class _Stage:
     rows: int
 
     def explains_more_than(self, shorter: _Stage) -> bool:
-        """Return True if what was added to a shorter fit is explained by noise."""
+        """Return True if noise explains the residuals of the time added to a shorter fit."""
         added = self.rows - shorter.rows
         if not shorter.rows or added <= 0:
             return True

@@ -85,7 +85,7 @@ def as_data(found: Calibration, hashes: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _plain(values: np.ndarray) -> Any:
-    """Return an array as lists, with null for what is not finite."""
+    """Return an array as nested lists, with null for each number that is not finite."""
     plain = np.asarray(values, dtype=object)
     plain[~np.isfinite(np.asarray(values, dtype=float))] = None
     return plain.tolist()
@@ -112,7 +112,7 @@ def _prediction(prediction: Prediction) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What other studies use of a calibration: values, covariance, and noise of the sensors."""
+    """Results of a calibration for other studies: values, covariance, and noise of the sensors."""
 
     path: str
     names: tuple[str, ...]

@@ -154,7 +154,7 @@ class Problem:
         return is_fixed
 
     def weighed(self) -> Prior:
-        """Return the prior of what was weighed."""
+        """Return the prior of the weighed values."""
         centre, error = np.zeros(self.dimension), np.full(self.dimension, math.inf)
         for k, parameter in enumerate(self.parameters):
             if parameter.prior is not None:

@@ -102,7 +102,7 @@ class Parameter:
         return math.exp(min(coordinate, 300.0)) if self.is_log else coordinate * self.size
 
     def slope(self, coordinate: float) -> float:
-        """Return the change of the value, SI, by that of the coordinate."""
+        """Return the derivative of the value (SI) with respect to the coordinate."""
         return self.value(coordinate) if self.is_log else self.size
 
     @property

@@ -1,4 +1,4 @@
-"""What a calibrated bench does in a trial to come: its figures with the bands of their errors."""
+"""Predictions of a calibrated bench for a new trial: its figures with their error bands."""
 
 from __future__ import annotations
 

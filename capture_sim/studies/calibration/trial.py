@@ -56,7 +56,7 @@ class MeasuredChannel(NamedTuple):
 
 
 class SimulatedMotion(NamedTuple):
-    """What the sensors would show of a simulated trial, in the scene's own place."""
+    """Readings of the sensors in a simulated trial, in the scene's own frame."""
 
     values: tuple[np.ndarray, ...]  # (n, m) of each channel
     rates: tuple[np.ndarray, ...]  # (n, m) of each; zero before the release
@@ -173,7 +173,7 @@ def trial_of(
 
 
 def resolved(touches: Touches, scene: Scene) -> Touches | None:
-    """Return the touches; None if those of the scene are too short for the force they are from."""
+    """Return the touches; None if the scene's touches are too short for the force's sample rate."""
     bench = Bench(scene)
     bench.advance(np.zeros(0))
     met = bench.touches[np.argsort(bench.touches["start"], kind="stable")][: touches.start.size]
@@ -183,7 +183,7 @@ def resolved(touches: Touches, scene: Scene) -> Touches | None:
 def launched(run: Run) -> Scene:
     """Return the scene of a run with the launch as it was commanded.
 
-    What hangs on the string does not follow the parameters.
+    The mass on the string is as commanded; it does not follow the fitted parameters.
     """
     scene = run.scene
     if scene.string is None:
@@ -227,8 +227,8 @@ def hold_after_release(run: Run) -> float:
 def scatter(series: Series) -> np.ndarray:
     """Return the noise of each part of a smooth, evenly spaced series: standard deviations (m,).
 
-    The third difference of white noise has 20 times its variance, that of a smooth motion
-    is small; the median keeps bends at touches from counting.
+    The third difference of white noise has 20 times its variance, and the third difference of a
+    smooth motion is small.  The median excludes the bends at touches.
     """
     values = series.values.reshape(len(series.t), -1)
     if len(values) < 5:
@@ -345,7 +345,7 @@ class View(NamedTuple):
 def view(
     trial: FittedTrial, motion: SimulatedMotion, own: np.ndarray, sensors: Mapping[str, float]
 ) -> View:
-    """Return what the sensors show, with the common place of the trial and errors of sensors."""
+    """Return the readings of the sensors, with the trial's common placement and sensor errors."""
     *_, x, y, theta, _ = (own * OWN_SIZE).tolist()
     chaser = trial.scene.initial.chaser
     c, s = math.cos(theta), math.sin(theta)
