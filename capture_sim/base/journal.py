@@ -159,7 +159,7 @@ def _locked(path: Path) -> Any:
 
 
 def _whole_lines(file: Any) -> list[Any]:
-    """Return the entries of a file, and cut off what follows the last whole one."""
+    """Return the entries of a file, and cut off everything after the last complete entry."""
     file.seek(0)
     lines, end = [], 0
     for line in file.read().splitlines(keepends=True):

@@ -197,7 +197,7 @@ HEAD = ["parameter", "value", "+-", "%", "unit", "start", ""]
 
 
 def print_starts(found: Calibration) -> None:
-    """Print where each trial began, relative to its scene, and what of it was used."""
+    """Print the start of each trial relative to its scene, and which part of the trial was used."""
     assert found.problem is not None
     rows = []
     has_release = any(start.is_release_fitted for start in found.starts)
@@ -239,7 +239,7 @@ def _print(found: Calibration) -> None:
 
 
 def _test_lines(found: Calibration) -> list[str]:
-    """Return what the tests of a fit have shown, one line each."""
+    """Return the results of a fit's tests, one line each."""
     agreeing = [apart for above, apart in found.restarts if above < 4.0]
     lines = [
         f"chi2 {found.reduced_chi2:.4g} per degree of freedom ({found.freedom}), "

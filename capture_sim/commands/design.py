@@ -369,7 +369,7 @@ def _design(
 
 
 def _free(texts: Sequence[str]) -> list[str]:
-    """Return the free values of some lists; a catalogue in brackets has commas of its own."""
+    """Return the free values from lists of names; a catalogue in brackets contains commas too."""
     items = [item for text in texts for item in re.split(r",(?![^\[]*\])", text)]
     return items or list(FREE)
 
@@ -402,7 +402,7 @@ _JOURNAL = "design.journal"
 def _journal(
     scene: Scene, requirements: Requirements, free: Sequence[str], options: argparse.Namespace
 ) -> Journal:
-    """Return the journal of the runs, with those of an interrupted design."""
+    """Return the journal of the runs, including the runs of an interrupted design."""
     head: dict[str, Any] = {"study": "design", "software": list(software_versions())}
     head["scene"] = scene.to_yaml()
     under = requirements.under
@@ -482,7 +482,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _objectives(options: argparse.Namespace, free: Sequence[str]) -> tuple[Measure, ...]:
-    """Return the objectives that are given, or what the buffer transmits."""
+    """Return the given objectives, or by default the loads that the buffer transmits."""
     least = [name.strip() for text in options.minimize for name in text.split(",")]
     if not (least or options.maximize):
         least = ["max_buffer_force"]

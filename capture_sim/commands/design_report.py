@@ -1,4 +1,4 @@
-"""A design as it is printed and written: the front, its rows as scenes, what limits cost."""
+"""The printed and written results of a design: the front, its rows as scenes, costs of limits."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def report_front(sections: Sequence[Section]) -> None:
 
 
 def sections_of(design: Design, picked: int | None, costs: Sequence[LimitCost]) -> list[Section]:
-    """Return the report of a design: the front, the picked row with its run, what limits cost."""
+    """Return the report of a design: the front, the picked row with its run, costs of limits."""
     n_feasible = sum(each.feasible for each in design.history)
     tried = f"{len(design.history)} buffers tried, {n_feasible} feasible"
     if picked is None:
@@ -139,7 +139,7 @@ def _sharpness_text(row: DesignRow | None) -> str:
 
 
 def _notes(design: Design) -> list[str]:
-    """Return what a reader of the table must know: draws, ends of ranges, other loads, staying."""
+    """Return notes for the reader of the table: draws, ends of ranges, other loads, staying."""
     notes = []
     if design.requirements.under is not None and design.interrupted:
         notes.append("loads: of the scene without dispersions, as the search was interrupted")
@@ -212,7 +212,7 @@ def _against_own(design: Design) -> list[str]:
 
 
 def _costs_section(costs: Sequence[LimitCost], objectives: Sequence[Measure]) -> Section:
-    """Return what the active limits cost in the objectives."""
+    """Return the costs of the active limits in the objectives."""
     steps = " and ".join(f"{step:.0%}" for step in STEPS)
     title = f"\nactive limits, and the change of each objective with {steps} more of them"
     head = ["limit", "used"]
@@ -279,7 +279,7 @@ def _verdict(outcome: Outcome) -> str:
 
 
 def _load_rows(outcome: Outcome, limits: Sequence[Limit]) -> list[list[str]]:
-    """Return one row for each load of the design's whole run, with its limit."""
+    """Return one row for each load of the design's entire run, with its limit."""
     by_key, loads = {limit.key: limit for limit in limits}, outcome.loads
     rows = [["verdict", _verdict(outcome), f"{outcome.t:.3f}", "captured"]]
     for row_load in LOADS:
@@ -415,6 +415,6 @@ def write_design(kept: Mapping[str, Any], scene: Scene | None, folder: Path) -> 
 
 
 def _named(scene: Scene, number: str = "") -> Scene:
-    """Return a scene with a name of its own: both can be run into one folder and compared."""
+    """Return a scene with another name, so that both can be run into one folder and compared."""
     name, title = f"{scene.name}_design{number}", f"{scene.title}; designed"
     return dataclasses.replace(scene, name=name, title=title)

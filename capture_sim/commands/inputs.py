@@ -78,7 +78,7 @@ def number(allowed: Range = Range(), unit: str = "") -> Callable[[str], float]: 
 
 
 def whole(allowed: Range = NOT_NEGATIVE) -> Callable[[str], int]:
-    """Return a reader of a whole number within a range."""
+    """Return a reader of an integer within a range."""
 
     def read(text: str) -> int:
         # the length: Python refuses to convert thousands of digits
@@ -594,9 +594,10 @@ def open_runs(
 
 
 def _without_repetitions(runs: Sequence[Run], sources: Sequence[str]) -> list[int]:
-    """Return the places of the runs without those that a newer file repeats bit by bit.
+    """Return the indices of the runs, without runs that a newer file repeats bit by bit.
 
-    A second ``make run`` leaves every recording twice, and ``view runs/*.mcap`` names all of them.
+    A second ``make run`` writes every recording a second time, and ``view runs/*.mcap`` names all
+    of them.
     """
     newest: dict[object, int] = {}
     for k, (run, source) in enumerate(zip(runs, sources, strict=True)):

@@ -106,7 +106,7 @@ def _number(value: float | None, kind: str) -> str:
 
 
 def _print_judgement(path: str, read: Run) -> None:
-    """Print the broken rules, and what is missing for each command."""
+    """Print the broken rules, and the parts that each command lacks."""
     where = f"{path}: " if path else ""
     for doubt in read.doubts:
         echo(f"{where}{doubt.line}")

@@ -193,8 +193,9 @@ def draw(
 def _begin_drawing() -> None:
     """Prepare a process that draws.
 
-    Ctrl-C ends the command, not a file half drawn.  What the process has inherited is never
-    collected in it: a destructor of a DDS object needs threads that a fork does not have.
+    Ctrl-C ends the command, but never a file that is half drawn.  Objects that the process has
+    inherited are never garbage-collected in it: the destructor of a DDS object needs threads that
+    do not exist after a fork.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.freeze()

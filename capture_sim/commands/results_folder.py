@@ -87,7 +87,7 @@ class ResultsFolder:
         echo(f"{of} in {kept}, numbers in {numbers}")
 
     def draw(self, runs: Sequence[Recorded]) -> None:
-        """Draw each run of the command, and all of them beside the folder's latest others."""
+        """Draw each run of the command, and all of them with the folder's latest other runs."""
         if not runs:
             return
         own = {run.path for run in runs}
@@ -101,7 +101,7 @@ class ResultsFolder:
         draw([run.run for run in runs], names, self._folder, beside=others)
 
     def _merged(self, own: Sequence[Row]) -> tuple[list[Row], list[str]]:
-        """Return the rows of the folder, those of the command last, and notes on other files."""
+        """Return the rows of the folder, the command's rows last, and notes on other files."""
         numbers = self._folder / NUMBERS
         rows, written = self._earlier(numbers)
         taken = {row[RECORDING] for row in own}
@@ -180,7 +180,7 @@ def _row_of(path: Path) -> Row | None:
 
 
 def _drawable(path: Path) -> Run | None:
-    """Return a run that can be drawn beside others; None for any other file."""
+    """Return a run that can be drawn with others; None for any other file."""
     from capture_sim.recording.read import read_run
     from capture_sim.recording.scan import head_metadata
     from capture_sim.recording.write import RUN_METADATA

@@ -42,7 +42,7 @@ def check_ros() -> None:
 
 
 class SuiteResult(NamedTuple):
-    """What a suite has come to."""
+    """The result of a suite of experiments."""
 
     status: int  # 0 all runs are complete; 1 a node failed or died; 2 it rejected its parameters
     recordings: list[Path]  # in the order of the runs

@@ -179,7 +179,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _journal(scene: Scene, samples: Samples, options: argparse.Namespace) -> Journal:
-    """Return the journal of the rows that are done, with those of an interrupted sweep."""
+    """Return the journal of the finished rows, including those of an interrupted sweep."""
     names = [axis.name for axis in samples.axes]
     rows = hashlib.sha256(repr([names, samples.rows, samples.designs]).encode()).hexdigest()
     head = {"study": "sweep", "software": list(software_versions()), "scene": scene.to_yaml()}

@@ -1,4 +1,4 @@
-"""The library in C: the scene's data as a header, the sources beside this module, the compiler."""
+"""The C library of a unit: the scene's data as a header, the sources in this folder, a compiler."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a unit lets its user set and read: names, units, and their places in the records."""
+"""The variables of a unit that its user sets and reads: names, units, and places in the records."""
 
 from __future__ import annotations
 
@@ -128,9 +128,10 @@ def outputs() -> list[UnitVariable]:
 
 
 def inputs(scene: Scene) -> list[UnitVariable]:
-    """Return the wrench on the tip from outside, and those on vehicles with thrusters.
+    """Return the external wrench on the tip, and the wrenches on vehicles with thrusters.
 
-    A scene with supports has none on the tip: it acts in place of the walls, which stay there.
+    A scene with supports has no wrench on the tip: such a wrench replaces the walls, and these
+    stay.
     """
     numbers = (("force.x", "N"), ("force.y", "N"), ("torque.z", "N m"))
 

@@ -1,4 +1,4 @@
-"""What comes from a rig: which answers are used, the load cell's bias and noise."""
+"""The wrenches of a rig: which of them are used, and the load cell's bias and noise."""
 
 from __future__ import annotations
 

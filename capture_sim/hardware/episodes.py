@@ -1,4 +1,4 @@
-"""Contact episodes: what the vehicles did, the law fitted to the rig, and whether both agree."""
+"""Contact episodes: motion of the vehicles, the law fitted to the rig, and their agreement."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ContactEpisode:
 
 @dataclass
 class _Course:
-    """What is needed of an episode to compare it with the rig's law."""
+    """The data of an episode that the comparison with the rig's law needs."""
 
     states: list[StageState]  # of the stage, up to the first force
     wall: Penetration  # at the first force

@@ -34,7 +34,7 @@ _LEAST_SHARE = 0.05
 
 @dataclass(frozen=True)
 class LoopLimits:
-    """What stops the loop."""
+    """The limits whose violation stops the loop."""
 
     energy: float = quantity(
         "J", Range(0.0, 1e6), default=0.02, doc="energy that the loop may add to the vehicles"

@@ -50,7 +50,7 @@ MAX_SENT = 2048
 
 
 def _load_law() -> None:
-    """Load what a fit of the walls needs, so that no step waits for it."""
+    """Import the modules for a fit of the walls before the loop runs, so that no step waits."""
     law, some = WallLaw(1.0, damping=1.0), np.ones(1)
     law.restitution(1.0)
     law.normal_forces(some, some)
@@ -115,7 +115,7 @@ class Loop:
 
     @property
     def energy_withheld(self) -> float:
-        """What wrenches that were scaled down would have added to the vehicles, J."""
+        """Energy that the scaled-down part of wrenches would have added to the vehicles, J."""
         return self._guard.withheld
 
     @property
@@ -125,7 +125,7 @@ class Loop:
 
     @property
     def estimate(self) -> LawEstimate:
-        """What is known of the rig's law."""
+        """The present estimate of the rig's law."""
         return self._episodes.estimate
 
     @property
@@ -230,9 +230,10 @@ class Loop:
         return Wrench(share * fx, share * fy, tz=share * (measured.tz - expected.tz))
 
     def _update_residual_share(self) -> None:
-        """Set how much of the residual acts in the next contact, and its largest force.
+        """Set the share of the residual in the next contact, and its largest force.
 
-        By the contact of both vehicles; by that of the probe alone if the buffer is the softer.
+        The contact between both vehicles decides it, or that of the probe alone if the buffer is
+        softer.
         """
         scene, law, tip = self.stage.scene, self.law, self.stage.tip
         wall = self._walls.deepest(tip)

@@ -1,4 +1,4 @@
-"""The messages of the loop: where the tip is to be, where the rig has it, what acts on it."""
+"""Messages of the loop: commanded position, measured position, and wrench of the tip."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Positions that the rig is sent: the run-up from rest, and those ahead of the lag."""
+"""Positions that are sent to the rig: the run-up from rest, and positions ahead of the lag."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ LAG_TIME = 0.03
 
 
 class RunUp:
-    """The way from rest to the vehicles' first position and speed, which ends at the time 0.
+    """The path from rest to the vehicles' first position and speed, which ends at time 0.
 
-    ``span``: its duration, s, rounded to whole steps.
+    ``span`` is its duration, s, rounded to a whole number of steps.
     """
 
     def __init__(self, first: TipState, span: float, step: float) -> None:

@@ -20,7 +20,7 @@ _SHARE = Range(0.0, 1.0)
 
 @dataclass(frozen=True)
 class Servo:
-    """What moves the tip: x'' = w^2 (u(t - delay) - x) - 2 zeta w x', with w = 2 pi bandwidth."""
+    """Drive of the tip: x'' = w^2 (u(t - delay) - x) - 2 zeta w x', with w = 2 pi bandwidth."""
 
     bandwidth: float = quantity(
         "Hz", Range(0.0, 1e4), default=10.0, doc="bandwidth; 0: the tip is where it is commanded"

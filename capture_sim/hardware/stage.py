@@ -133,7 +133,7 @@ class LoopStage:
 
     @property
     def events(self) -> Sequence[Event]:
-        """What the bench has located so far."""
+        """Events that the bench has located so far."""
         return self._bench.events
 
     @property
@@ -202,7 +202,7 @@ class LoopStage:
         self._count, self._samples = state.steps, state.samples
 
     def take_step(self, wrench: Wrench = NO_WRENCH) -> None:
-        """Move one step with this wrench held; SafeStopError where the bench cannot go on."""
+        """Take one step with this wrench held; SafeStopError if the bench cannot continue."""
         times = (self._count + self._fractions) * self.step
         self._bench.drive_tip((wrench.fx, wrench.fy, wrench.tz), times[-1])
         try:

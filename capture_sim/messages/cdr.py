@@ -109,10 +109,10 @@ def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict
 
 
 class Numbers:
-    """Reads the numbers at some paths out of one message after another, as they come over a topic.
+    """Reads the numbers at given paths from the messages of a topic, one after another.
 
-    Where they stand is found again only for a message whose texts or sequences have other lengths
-    than those of the one before.
+    The position of the numbers is computed again only if the lengths of a message's texts or
+    sequences differ from the message before.
     """
 
     def __init__(self, store: Typestore, type_name: str, *paths: str) -> None:

@@ -34,9 +34,10 @@ NO_DEFINITION = (TypesysError, ValueError, KeyError, RecursionError)
 
 @cache
 def typestore() -> Typestore:
-    """Return the types of capture_sim, and those of ROS 2 Jazzy.
+    """Return the types of capture_sim and of ROS 2 Jazzy.
 
-    Of the latter, all but the suite's own topics' are loaded when one is asked for.
+    Of the types of ROS 2 Jazzy, only those of the suite's topics are loaded at once.  All others
+    are loaded when one of them is asked for.
     """
     store = get_typestore(Stores.EMPTY)
     store.types, store.fielddefs = _OnDemand(store), _OnDemand(store)
@@ -67,7 +68,7 @@ def store_of(type_name: str, definition: str, encoding: str = "ros2msg") -> Type
 
 
 class _OnDemand(dict[str, Any]):
-    """What a store knows by type; asked for another type, it knows all of ROS 2 Jazzy."""
+    """The data of a store by type; if a type is unknown, all types of ROS 2 Jazzy are loaded."""
 
     def __init__(self, store: Typestore) -> None:
         super().__init__()

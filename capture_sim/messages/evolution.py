@@ -64,7 +64,7 @@ def _absent(store: Typestore, type_name: str, prefix: str) -> Iterator[str]:
 
 
 def completed(columns: Columns, store: Typestore, type_name: str) -> Columns:
-    """Return the columns of n messages of a store's type with the defaults of what it lacks.
+    """Return the columns of n messages of a store's type, with defaults for fields that it lacks.
 
     MessageError as in :func:`absent_fields`.
     """
@@ -85,7 +85,7 @@ def _repeated(value: Any, n: int) -> np.ndarray:
 
 
 class Translation:
-    """Makes serialised messages of another store's type into those of this version.
+    """Converts serialised messages of another store's type to this version's.
 
     MessageError as in :func:`absent_fields`.
     """

@@ -46,9 +46,9 @@ class Sent(NamedTuple):
 
 
 def samples_per_message(state_rate: float, rate: float) -> int:
-    """Return how many samples lie between two periodic messages.
+    """Return the number of samples for each periodic message.
 
-    CaptureSimError if ``state_rate`` is no whole multiple of ``rate``.
+    CaptureSimError if ``state_rate`` is no integer multiple of ``rate``.
     """
     every = round(state_rate / rate)
     if every < 1 or abs(every * rate - state_rate) > 1e-9 * state_rate:
@@ -359,7 +359,7 @@ class BenchTelemetry(_Stream):
 
 
 class LauncherTelemetry(_StatusStream):
-    """What the launcher sends: commands and its state."""
+    """The messages that the launcher sends: commands and its state."""
 
     publisher = topics.LAUNCHER
     stream, changes, frame = topics.LAUNCHER_STATE, topics.LAUNCHER_PHASE, WORLD
@@ -375,7 +375,7 @@ class LauncherTelemetry(_StatusStream):
 
 
 class DetectorTelemetry(_StatusStream):
-    """What the capture detector sends: its criteria, then its status at every instant."""
+    """The messages of the capture detector: its criteria, then its status at each instant."""
 
     publisher = topics.CAPTURE_DETECTOR
     stream, changes, frame = topics.CAPTURE_STATUS, topics.CAPTURE_VERDICT, CONE_FRAME

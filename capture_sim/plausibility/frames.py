@@ -68,7 +68,7 @@ def tilted(motion: MeasuredMotion) -> Iterator[Said]:
 
 
 def _tilt_cause(poses: Poses) -> str:
-    """Return what explains the tilt: w first, or y up."""
+    """Return the likely cause of a tilt: quaternions with w first, or a y axis that points up."""
     q = poses.quaternion[poses.is_measured] / poses.norm[poses.is_measured, None]
     w, x, y, _ = q.T  # if w comes first
     if float(np.median(np.hypot(x, y))) < 0.5 * MAX_TILT and abs(float(np.median(w))) > 0.5:

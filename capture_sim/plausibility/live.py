@@ -46,7 +46,7 @@ class LiveMeasurements:
         self._kept: dict[str, _Kept] = {}
 
     def clear(self) -> None:
-        """Forget everything, at the begin of a trial."""
+        """Discard all measurements, at the start of a trial."""
         self._kept.clear()
 
     def add_pose(

@@ -1,4 +1,4 @@
-"""What the sensors of a bench have measured, as the rules look at it."""
+"""Measurements of a bench's sensors, as the rules use them."""
 
 from __future__ import annotations
 

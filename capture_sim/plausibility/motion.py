@@ -1,6 +1,6 @@
-"""What the rules look at: motion of the vehicles and of the tip by the measurements, computed once.
+"""Motion of the vehicles and of the tip from measurements, computed once for all rules.
 
-Everything is an array at the stamps of the chaser's poses, and made at its first use.
+All arrays are at the stamps of the chaser's poses, and are computed at their first use.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ class MeasuredMotion:
         return deepest
 
     def _tip(self, stroke: np.ndarray, torsion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the tip ahead of BE and beside the cone's axis, (n,) each, m."""
+        """Return the tip's position ahead of BE and lateral to the cone's axis, (n,) each, m."""
         assert self.pair is not None
         assert self.scene is not None
         scene, pair = self.scene, self.pair
@@ -240,7 +240,7 @@ class MeasuredMotion:
 
     @cached_property
     def contacts(self) -> dict[str, float]:
-        """When poses, buffer and force first show the contact, s; those that do not are absent."""
+        """First contact by poses, buffer and force, s; a source without a contact is absent."""
         seen: dict[str, float] = {}
         if self.scene is None:
             return seen

@@ -11,7 +11,7 @@ from capture_sim.plausibility.motion import MeasuredMotion
 
 
 class Grade(StrEnum):
-    """What follows from a broken rule."""
+    """The consequence of a broken rule."""
 
     REFUSED = "refused"  # no answer would mean anything
     LEFT_OUT = "left out"  # these messages are no measurements
@@ -19,7 +19,7 @@ class Grade(StrEnum):
 
 
 class Said(NamedTuple):
-    """What a rule's check has found: topic, text and number of messages; None is all of them."""
+    """The finding of a rule's check: topic, text and number of messages; None is all of them."""
 
     topic: str
     text: str
@@ -54,7 +54,7 @@ class Doubt:
 
     @property
     def grade(self) -> Grade:
-        """What follows from it."""
+        """The consequence of the broken rule."""
         return self.rule.grade
 
     @property

@@ -39,7 +39,7 @@ def draw_calibration(found: Calibration) -> dict[str, Figure]:
 
 
 def _draw_trial(found: Calibration, number: int) -> Figure:
-    """Draw what was measured and simulated of a trial, and the residuals in units of noise."""
+    """Draw the measurements and the simulation of a trial, and the residuals in units of noise."""
     assert found.problem is not None
     assert found.linear is not None
     trial = found.problem.trials[number]

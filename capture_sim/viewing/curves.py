@@ -1,7 +1,7 @@
-"""What is drawn over time, as data: used by plots and rerun alike.
+"""The quantities drawn over time, as data for plots and for rerun.
 
-As in the paper, a line is solid while the tip touches the cone and dashed while it does not; while
-a latch holds the tip it is dotted and dashed.
+As in the paper, a line is solid while the tip touches the cone and dashed while it does not.  While
+a latch holds the tip, the line is dotted and dashed.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class PlottedRun(NamedTuple):
 
     @property
     def holds(self) -> np.ndarray:
-        """What holds the tip right after each sample, (n,), numbers of :data:`HOLDS`."""
+        """Constraint on the tip just after each sample, (n,), as numbers of :data:`HOLDS`."""
         latched = self.samples["phase"] == Phase.LATCHED
         return np.where(latched, HOLDS.index("latched"), self.touching.astype(int))
 
@@ -359,7 +359,7 @@ def held_by(shown: Iterable[PlottedRun]) -> list[str]:
 def split(values: np.ndarray, holds: np.ndarray) -> dict[str, np.ndarray]:
     """Return the values that belong to each of :data:`HOLDS` that occurs, (n, ...), NaN elsewhere.
 
-    What lies between two samples belongs to the earlier of them.
+    The interval between two samples belongs to the earlier sample.
     """
     before = np.concatenate([holds[:1], holds[:-1]])
     shape = (-1,) + (1,) * (values.ndim - 1)

@@ -20,7 +20,7 @@ _DPI = 90.0
 
 
 def save_design_page(title: str, sections: Sequence[Section], figure: Figure, path: Path) -> Path:
-    """Write the page of a design, whole in one file; return its path."""
+    """Write the page of a design as one complete file; return its path."""
     environment = Environment(loader=PackageLoader("capture_sim.viewing", "."), autoescape=True)
     text = environment.get_template("design.html.j2").render(
         title=title,

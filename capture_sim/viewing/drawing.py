@@ -199,7 +199,7 @@ def line_look(name: str, width: float = CURVE) -> dict[str, Any]:
 
 
 def frame_bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return what is shown of x and of y, mm."""
+    """Return the drawn range of x and of y, mm."""
     lip = wall(scene.cone, 1)[1] * _MM
     margin = scene.probe.tip_radius * _MM + 4.0
     top = float(lip[1] + 0.6 * margin)

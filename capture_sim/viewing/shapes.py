@@ -73,7 +73,7 @@ def circle(centre: np.ndarray, radius: float, count: int = 73) -> np.ndarray:
 
 
 def rail_shapes(scene: Scene) -> list[Shape]:
-    """Return the rail: it guides the chaser's centre over its length, and bears the whole body."""
+    """Return the rail, which guides the chaser's centre over its length and carries the chaser."""
     if scene.rail is None:
         return []
     start, box = scene.initial.chaser, chaser_box(scene)

@@ -1,4 +1,4 @@
-"""What plots, reports and rerun need of a run: its touches, its window, its words."""
+"""Data of a run for plots, reports and rerun: its touches, its window, its captions."""
 
 from __future__ import annotations
 
@@ -49,7 +49,8 @@ def distinct_names(names: Sequence[str]) -> list[str]:
 def every_touch(run: Run) -> np.ndarray:
     """Return the touches (m,) of dtype TOUCH, including a touch in progress at the run's end.
 
-    Those end at the last sample; their peak, which was not located, is that of the samples.
+    Such a touch ends at the last sample.  Its peak was not located, so it is the peak of the
+    samples.
     """
     touches, samples = run.touches, run.samples
     t_end = samples["t"][-1]

@@ -119,6 +119,6 @@ def rgb(colour: str) -> tuple[int, int, int]:
 
 
 def light(colour: tuple[int, int, int]) -> tuple[int, int, int]:
-    """Return a colour mixed with twice as much white."""
+    """Return a colour mixed with two parts of white."""
     red, green, blue = ((part + 2 * 255) // 3 for part in colour)
     return red, green, blue

@@ -164,7 +164,7 @@ def draw_curve(table: pandas.DataFrame, axis: Axis, title: str, limits: Sequence
 
 
 def _mark_limits(draw_line: Callable[..., Any], load: str, limits: Sequence[Limit]) -> None:
-    """Draw the limits of a load of the whole run as lines."""
+    """Draw the limits of a load of the entire run as lines."""
     for limit in limits:
         if limit.key == load:
             at = limit.value * limit.load.factor

@@ -35,7 +35,7 @@ _COMPILER = Path(__file__).resolve().parent
 
 @cache
 def compiler_hash() -> str:
-    """Return a hash of the compiler: Numba's version, the modules beside this one, their path."""
+    """Return a hash of the compiler: Numba's version, modules in this folder, and their path."""
     # Numba finds compiled code by the path of its source, so each checkout has its own
     digest = hashlib.sha256(f"{version('numba')} {_COMPILER}".encode())
     for path in sorted(_COMPILER.glob("*.py")):
@@ -67,7 +67,7 @@ def code_hash(entry: Callable[..., Any]) -> str:
 
 
 def _names_outside(function: Callable[..., Any]) -> dict[str, Any]:
-    """Return what a function reads of its module and of functions around it, by name."""
+    """Return the objects that a function reads from its module and enclosing functions, by name."""
     code, known = function.__code__, function.__globals__
     cells = zip(code.co_freevars, function.__closure__ or (), strict=True)
     read = {name: known[name] for name in code.co_names if name in known}
@@ -75,7 +75,7 @@ def _names_outside(function: Callable[..., Any]) -> dict[str, Any]:
 
 
 def _constant(value: Any) -> str:
-    """Return a text of what a kernel reads of a value outside it, without addresses in memory."""
+    """Return the value of an outside object for a kernel as text, without memory addresses."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype.descr} {value.shape} {value.tobytes().hex()}"
     if isinstance(value, type):

@@ -119,7 +119,7 @@ class _Cache(FunctionCache):
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the compiled code, and LLVM's text of it in a file of its own."""
+        """Save the compiled code, and the text of its LLVM code in a separate file."""
         text = data.library._get_module_for_linking().as_bitcode()
         with whole_file(self._text_file(data)) as path:
             path.write_bytes(text)

@@ -25,7 +25,7 @@ class NumberArray(NamedTuple):
 
 
 class VectorCode:
-    """Writes LLVM's code: values are numbers, or vectors of as many as a ``width`` says."""
+    """Generates LLVM code; values are numbers, or vectors of ``width`` numbers."""
 
     def __init__(self, builder: Any) -> None:
         self.builder = builder
