@@ -1,6 +1,6 @@
-"""Many runs, or recorded ones: sweep, design, identification, comparison.
+"""Studies of many simulated or recorded runs: sweep, design, identification, comparison.
 
-Takes: A ``Scene`` and what varies; or a ``Run`` or two.
+Takes: A ``Scene`` and its varied values; or one or two ``Run`` objects.
 Gives: Tables, designs, fits with standard errors, agreements.
 Must not know: How results are drawn or written.
 Begin with: ``sweep.py``.

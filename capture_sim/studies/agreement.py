@@ -1,4 +1,4 @@
-"""A recorded run compared, sample by sample, with its scene simulated again."""
+"""Comparison of a recorded run, sample by sample, with a new simulation of its scene."""
 
 from __future__ import annotations
 
@@ -12,37 +12,36 @@ from capture_sim.run.run import Run
 
 
 class Difference(NamedTuple):
-    """How a field of the samples differs between two runs."""
+    """Difference of a field of the samples between two runs."""
 
     name: str
     largest: float  # largest absolute difference, unit as in msg/BenchState.msg
-    first: float  # s, when the field first differs by even one bit
+    first: float  # time of the first difference of even one bit, s
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Outcome of comparing a recording with its scene simulated again."""
+    """Result of the comparison of a recording with a new simulation of its scene."""
 
-    compared: int  # samples of the recording that the simulation has as well
-    # samples of the recording at times that the simulation has none at, or has once more: they are
-    # of another run
+    compared: int  # number of samples at times that both runs have
+    # number of samples of the recording at times that the simulation does not have, or at repeated
+    # times: these samples belong to another run
     foreign: int
-    missing: int  # samples of the simulation that the recording lacks, up to its end
+    missing: int  # number of samples of the simulation that the recording lacks, up to its end
     differences: tuple[Difference, ...]  # fields that differ
-    # up to the end of the recording
-    same_events: bool
-    same_trace: bool  # of the contact
+    same_events: bool  # True if the events are equal up to the end of the recording
+    same_trace: bool  # True if the traces of the contact are equal up to the end of the recording
 
     @property
     def identical(self) -> bool:
-        """True if everything in the recording is in the simulation, bit by bit."""
+        """True if all data of the recording are bit-identical in the simulation."""
         same = self.same_events and self.same_trace
         return same and self.compared > 0 and not (self.foreign or self.differences)
 
     def within(self, tolerance: float) -> bool:
         """Return True if no coordinate differs by more than the tolerance, m and rad.
 
-        With tolerance 0 the events must be the same too.
+        With a tolerance of 0, the events must be equal too.
         """
         largest = max((d.largest for d in self.differences if d.name == "q"), default=0.0)
         is_near = largest <= tolerance and (self.same_events or tolerance > 0.0)

@@ -1,4 +1,4 @@
-"""Inputs that a sweep varies: fields of a scene and the approach, over values or a distribution."""
+"""Axes of a sweep: fields of a scene or values of the approach, with values or a distribution."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Checked, Declared, accept, declared, shown
 from capture_sim.scene.units import comma_hint, in_si, split
 
-#: Most values of one axis.
+#: Maximum number of values of one axis.
 MAX_VALUES = 1_000_000
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One thing that varies: over ``values``, or as ``distribution`` (frozen, of scipy.stats)."""
+    """One varied input, with ``values`` or a ``distribution`` (frozen, of scipy.stats)."""
 
     name: str
     unit: str
@@ -34,13 +34,16 @@ class Axis:
     text: str = ""
 
     def quantile(self, u: np.ndarray) -> np.ndarray:
-        """Return the values below which shares ``u`` of the distribution lie."""
-        tiny = np.finfo(float).eps / 2.0  # 0 and 1 may be infinitely far away
+        """Return the quantiles of the distribution at probabilities ``u``, with the shape of u."""
+        tiny = np.finfo(float).eps / 2.0  # the quantiles at 0 and 1 may be infinite
         return np.asarray(self.distribution.ppf(np.clip(u, tiny, 1.0 - tiny)))
 
 
 def declaration_of(scene: Scene, name: str) -> Declared:
-    """Return the declaration of a field of scene or approach; SceneError if there is none."""
+    """Return the declaration of a field of the scene or the approach.
+
+    SceneError if there is no such field, or if the field is not a single value.
+    """
     owner, _, field = name.rpartition(".")
     part = Approach if owner == "approach" else type(paths.get(scene, owner) if owner else scene)
     what = declared(part).get(field) if issubclass(part, Checked) else None
@@ -55,8 +58,8 @@ def declaration_of(scene: Scene, name: str) -> Declared:
 def make_axis(scene: Scene, name: str, given: Any) -> Axis:
     """Return the axis of a field (``buffer.c_A``) or of the approach (``approach.angle``).
 
-    It is given by a text (``LOW:HIGH:COUNT``, ``A,B,C``, ``normal(500, 5%)``), values, or a frozen
-    distribution of scipy.stats.  Raises SceneError, which names the axis and what it must be.
+    ``given`` is a text (``LOW:HIGH:COUNT``, ``A,B,C``, ``normal(500, 5%)``), values, or a frozen
+    distribution of scipy.stats.  If it is invalid, SceneError names the axis and the valid values.
     """
     what = declaration_of(scene, name)
     if hasattr(given, "ppf"):
@@ -85,7 +88,7 @@ def _valued(what: Declared, name: str, values: list[Any], text: str) -> Axis:
 
 
 def _brief(text: str) -> str:
-    """Return a value as given, shortened to fit a message."""
+    """Return the text of a value, shortened to 200 characters for a message."""
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 
@@ -106,18 +109,19 @@ def _span(what: Declared, name: str, text: str) -> list[Any]:
     if not 1 <= number <= MAX_VALUES:
         raise SceneError(f"{name} = {_brief(text)}: COUNT must be 1 to {MAX_VALUES}")
     for end in ends[:number]:
-        accept(end, what._replace(kind=float), name)  # finite, or what is between would be NaN
+        # the ends must be finite, or the values between them would be NaN
+        accept(end, what._replace(kind=float), name)
     values: list[Any] = np.linspace(*ends, number).tolist()
     return values
 
 
 def _nominal(scene: Scene, name: str) -> float:
-    """Return the value of a field in the scene, which percentages refer to; NaN where none is."""
+    """Return the value of a field in the scene, the reference of percentages; NaN if none."""
     value = None if name in APPROACH else paths.get(scene, name)
     return float(value) if isinstance(value, (int, float)) else math.nan
 
 
-#: Distributions by the arguments that people use; all others are those of scipy.stats.
+#: Usage of the distributions with common arguments, by name; all other names are of scipy.stats.
 FAMILIAR = {
     "normal": "normal(MEAN, STD)",
     "uniform": "uniform(LOW, HIGH)",
@@ -172,7 +176,7 @@ def _exactly(sizes: list[float], count: int) -> list[float]:
 
 
 def _size(text: str, unit: str, nominal: float) -> float:
-    """Return a number in SI; a percentage is one of ``nominal``."""
+    """Return the number of a text in SI units; a percentage refers to ``nominal``."""
     number, given = split(text)
     if given == "%":
         return float(number) / 100.0 * nominal
@@ -180,7 +184,7 @@ def _size(text: str, unit: str, nominal: float) -> float:
 
 
 def _checked(distribution: Any, name: str, text: str) -> Any:
-    """Return a distribution that has finite quartiles in their order."""
+    """Return the distribution; SceneError unless its quartiles are finite and ascending."""
     with np.errstate(all="ignore"):
         quartiles = distribution.ppf([0.25, 0.5, 0.75])
     if not (np.all(np.isfinite(quartiles)) and np.all(np.diff(quartiles) > 0.0)):

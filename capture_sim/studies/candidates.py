@@ -1,15 +1,16 @@
-"""How a design evaluates buffers: by the scene's own run, under dispersions, and over an area.
+"""Evaluation of buffers for a design: by the scene's own run, by draws, and over an area.
 
-A buffer is feasible if its run ends in a capture that the tip has not left again, and keeps all
-limits.  Infeasible ones are compared by their violation: the logarithm of the worst ratio of a load
-to its limit; a capture that the tip left again is worse, then a run without a capture, by its
-distance from BE, and a run that stopped is worst.
+A buffer is feasible if its run keeps all limits and ends in a capture that the tip has not left
+again.  Infeasible buffers are compared by their violation.  If a load exceeds its limit, the
+violation is the logarithm of the largest ratio of a load to its limit.  A capture that the tip left
+again has a larger violation.  A run without a capture has a still larger one, which grows with the
+closest approach to BE.  A run that stopped has the largest violation.
 
-Under dispersions, a candidate is run with the same draws as all others.  Its loads are then
-quantiles: what the required number of draws does not exceed.  As the best candidate is the one that
-suits these draws best, the search requires one standard deviation more of them than the share
-asked for.  The capture range is that of the scene's own values: with dispersions, each line of the
-area has one of the draws.
+With dispersions, all candidates are run with the same draws.  The loads of a candidate are then
+quantiles: the values that the required number of draws does not exceed.  The search selects the
+candidate that suits these particular draws best.  Therefore it requires one standard deviation more
+successful draws than the requested share.  Without dispersions, the capture range is computed with
+the scene's own values; with dispersions, each line of the area has one of the draws.
 """
 
 from __future__ import annotations
@@ -39,24 +40,25 @@ from capture_sim.studies.sampling import Correlations
 from capture_sim.studies.sweep import FAILED, Recipe, result_columns, run_rows, samples_of
 from capture_sim.studies.variables import fields_of
 
-#: Draws of each candidate, and new draws of the check at the end.
+#: Number of draws of each candidate, and number of new draws of the check at the end.
 DRAWS, CHECK_DRAWS = 60, 400
-#: Share of the draws after which a candidate is given up that can no longer be feasible.
+#: Share of the draws that are run first.  The others are run only if the candidate may still be
+#: feasible.
 _FIRST_DRAWS = 0.25
-#: A limit is violated by the logarithm of load over limit, up to the first of these; a capture that
-#: is left, a run without a capture and one that stopped by more, each than all before.
+#: Violations: the maximum for a limit (the logarithm of load over limit), and the values for a
+#: capture that the tip left, for a run without a capture and for a run that stopped.
 _MAX_EXCESS, _LEFT, _NO_CAPTURE, _STOPPED = 5.0, 6.0, 12.0, 100.0
-#: What candidates are also asked for.
+#: Results of a run that a design needs in addition to the columns of a sweep.
 _ALSO = ("behind",)
-#: Runs with draws are made only of candidates whose own run violates by less.
+#: Draws are run only for candidates whose own run has a smaller violation than this value.
 _WORTH_DRAWS = 0.4
-#: Runs over the area are made only of candidates whose own run violates by less; the others count
-#: as capturing nothing, which is a violation of 1 more where a capture range is required.
+#: The area is run only for candidates whose own run has a smaller violation than this value.  The
+#: others count as a capture range of 0, which adds 1 to the violation if a range is required.
 _WORTH_AREA = 0.1
-#: Bisections of the edge of a capture range; the error is then 1/32 of a cell at each edge.
+#: Bisections of each edge of a capture range; the error of an edge is then 1/32 of a cell.
 _BISECTIONS = 4
-#: Most runs that a worker does in one go, and the chunks that a population is divided into, if it
-#: is smaller.
+#: Maximum number of runs in one task of a worker, and the number of tasks into which a small
+#: population is divided.
 _RUNS_OF_CHUNK, _CHUNKS = 20, 8
 
 
@@ -70,7 +72,7 @@ class Dispersions:
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a buffer must keep, and what is to be small.
+    """Limits that a buffer must keep, and objectives.
 
     Attributes
     ----------
@@ -79,19 +81,19 @@ class Requirements:
     limits : tuple of Limit
         Upper limits of loads.
     under : Dispersions or None
-        Dispersions under which the limits must hold; None for the scene alone.
+        Dispersions with which the limits must be kept; None for the scene's own values only.
     confidence : float
-        Share of the draws that must be captured with all limits kept.
+        Share of the draws that must end in a capture with all limits kept.
     draws : int
         Number of draws of each candidate.
     area : tuple of Axis
         Area of approach for the capture range, see :mod:`capture_sim.studies.capture_range`.
     least_range : float
-        Least capture range, 0 to 1.
+        Least capture range that is required, 0 to 1.
     allow_leaving : bool
-        Whether a capture counts that the tip has left again at ``run.t_end``.
+        True to accept a capture that the tip has left again at ``run.t_end``.
     hold_at_be : bool
-        Whether a tip that is then further behind BE than the capture radius counts as having left.
+        True if a tip that is then further behind BE than the capture radius counts as having left.
     """
 
     objectives: tuple[Measure, ...]
@@ -105,39 +107,39 @@ class Requirements:
     hold_at_be: bool = False
 
     def __post_init__(self) -> None:
-        """Raise SceneError if a capture range is asked for without an area."""
+        """Raise SceneError if a capture range is required or an objective, but there is no area."""
         asked = self.least_range or any(each.key == CAPTURE_RANGE for each in self.objectives)
         if asked and not self.area:
             raise SceneError("capture_range: must have an area of approach (--approach)")
 
     def tightened(self, share: float) -> Requirements:
-        """Return the requirements with limits that are smaller by a share."""
+        """Return the requirements with all limits reduced by a share, e.g. 0.01 for 1 %."""
         return dataclasses.replace(self, limits=tuple(x.scaled(1.0 - share) for x in self.limits))
 
     def with_limit(self, limit: Limit, factor: float) -> Requirements:
-        """Return the requirements with one limit times a factor."""
+        """Return the requirements with one limit multiplied by a factor."""
         limits = tuple(x.scaled(factor) if x == limit else x for x in self.limits)
         return dataclasses.replace(self, limits=limits)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A buffer that was tried.
+    """A buffer that was tried, and its results.
 
-    Under dispersions the loads are quantiles at the required share of the draws.
+    With dispersions, the loads are quantiles at the required share of the draws.
     """
 
     values: Mapping[str, float]  # by name, SI
     loads: Mapping[str, float]  # by name in results, SI; NaN if not measured
     verdict: str  # of the scene's own run
-    violation: float  # 0: feasible
-    share: float | None = None  # of the draws that are captured within the limits; None without
-    range_error: float = math.nan  # of the capture range
+    violation: float  # 0 if the buffer is feasible
+    share: float | None = None  # of draws captured within the limits; None without draws
+    range_error: float = math.nan  # error of the capture range
     left_again: bool = False  # the tip was captured, and is outside at t_end
 
     @property
     def feasible(self) -> bool:
-        """Whether the buffer meets the requirements."""
+        """True if the buffer meets the requirements."""
         return self.violation <= 0.0
 
     @property
@@ -146,12 +148,12 @@ class Candidate:
         return _number(self.loads.get(CAPTURE_RANGE, 0.0))
 
     def costs(self, objectives: Sequence[Measure]) -> list[float]:
-        """Return the objectives, each so that less is better; see :meth:`Measure.cost`."""
+        """Return the costs of the objectives; a lower cost is better, see :meth:`Measure.cost`."""
         return [each.cost(_number(self.loads[each.key])) for each in objectives]
 
 
 def costs_of(candidates: Sequence[Candidate], objectives: Sequence[Measure]) -> np.ndarray:
-    """Return the objectives of candidates, (n, objectives), each so that less is better."""
+    """Return the costs of candidates, (n, objectives); a lower cost is better."""
     costs = [each.costs(objectives) for each in candidates]
     return np.array(costs, dtype=float).reshape(-1, len(objectives))
 
@@ -160,12 +162,12 @@ def _number(value: float) -> float:
     return 0.0 if math.isnan(value) else value
 
 
-#: Kinds of runs in an archive: at the tolerance of the search, and those of an earlier design.
+#: Kinds of runs in an archive: runs at the tolerance of the search, and runs of an earlier design.
 SEARCH, EARLIER = "search", "earlier"
 
 
 class _Runs(NamedTuple):
-    """Some runs, in order."""
+    """Results of some runs, in the order of the runs."""
 
     verdicts: list[str]
     left_again: list[bool]
@@ -173,21 +175,21 @@ class _Runs(NamedTuple):
     violations: np.ndarray  # (n,)
 
 
-#: What is kept of a run: verdict, left again, distance from BE, loads.
+#: Stored results of a run: verdict, left again, closest approach to BE, loads.
 _Result = tuple[Any, ...]
 
 
 class Archive:
-    """All runs of a design by their inputs, in a journal or in memory alone.
+    """All runs of a design by kind and input values, in a journal or in memory only.
 
-    A run in the archive is not repeated.  So a design that was killed continues to the same result
-    as an undisturbed one.
+    A run that is in the archive is not repeated.  A design that was killed therefore resumes and
+    gives the same result as an uninterrupted design.
     """
 
     def __init__(self, journal: Journal | None = None) -> None:
         self._journal = journal
         self._known: dict[tuple[str, tuple[str, ...], tuple[float, ...]], _Result] = {}
-        #: Runs of an earlier design as (names, values), with which this one begins.
+        #: Runs of an earlier design, as (names, values), from which this design starts.
         self.earlier: list[tuple[tuple[str, ...], tuple[float, ...]]] = []
         for entry in journal.entries if journal is not None else ():
             self._learn(*entry)
@@ -199,7 +201,10 @@ class Archive:
         rows: Sequence[Sequence[float]],
         results: Sequence[_Result],
     ) -> None:
-        """Keep runs; runs of ``kind`` ``earlier`` come from the design that this one continues."""
+        """Store runs.
+
+        Runs of the kind ``earlier`` are of an earlier design, from which this design starts.
+        """
         if self._journal is not None:
             self._journal.add([kind, names, rows, results])
         self._learn(kind, names, rows, results)
@@ -218,14 +223,15 @@ class Archive:
             self._known[kind, tuple(names), tuple(row)] = tuple(result)
 
     def get(self, kind: str, names: tuple[str, ...], row: tuple[float, ...]) -> _Result | None:
-        """Return the outcome of a run; None if it was not made."""
+        """Return the results of a run; None if it is not in the archive."""
         return self._known.get((kind, names, row))
 
 
 class Evaluator:
-    """Runs buffers; ``history`` has all candidates in order.
+    """Runs buffers and returns them as candidates.
 
-    ``kind`` names the scene's run settings in the archive.
+    ``history`` has all candidates in order.  ``kind`` names the scene's run settings in the
+    archive.
     """
 
     def __init__(
@@ -248,14 +254,17 @@ class Evaluator:
         self._wanted = [self._columns.index(name) for name in wanted]
 
     def under(self, requirements: Requirements) -> Evaluator:
-        """Return an evaluator of the same scene under other requirements."""
+        """Return an evaluator with other requirements, for the same scene and archive."""
         return Evaluator(
             *(self._scene, requirements, self._seed, self._executor, self._report),
             *(self._archive, self._kind),
         )
 
     def alone(self, values: Sequence[Mapping[str, float]]) -> list[Candidate]:
-        """Return candidates by the scene's own run."""
+        """Return candidates evaluated by the scene's own run and, if there is one, over the area.
+
+        ``values`` are the free values of each buffer by name, SI.
+        """
         return self._noted(self._alone(values))
 
     def _noted(self, candidates: list[Candidate]) -> list[Candidate]:
@@ -281,7 +290,7 @@ class Evaluator:
         return self._with_ranges(found) if self._requirements.area else found
 
     def _run(self, rows: Sequence[Mapping[str, float]]) -> _Runs:
-        """Return the outcomes of runs; only runs that are not in the archive are made."""
+        """Return the results of some runs; runs in the archive are not repeated."""
         names = tuple(rows[0])
         values = [tuple(row.values()) for row in rows]
         found = [self._archive.get(self._kind, names, row) for row in values]
@@ -306,7 +315,7 @@ class Evaluator:
         return _Runs(list(verdicts), lefts, by_load, violations)
 
     def _passed_as_left(self, row: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return a run in which the tip has left if it is behind BE."""
+        """Return the results of a run in which a tip behind BE counts as having left."""
         left = row[self._at_left] or row[self._at_behind] > 0.0
         return (*row[: self._at_left], bool(left), *row[self._at_left + 1 :])
 
@@ -331,7 +340,10 @@ class Evaluator:
         return violations
 
     def _with_ranges(self, found: list[Candidate]) -> list[Candidate]:
-        """Return candidates with their capture range; it is 0 for candidates far from feasible."""
+        """Return candidates with their capture range.
+
+        The range is NaN, which counts as 0, for candidates that are far from feasible.
+        """
         area, least = self._requirements.area, self._requirements.least_range
         worth = [n for n, each in enumerate(found) if each.violation < _WORTH_AREA]
         nothing = [
@@ -346,7 +358,7 @@ class Evaluator:
             return nothing
         points = points_of(area)
         names = [axis.name for axis in area]
-        # the draws of the search; a line has one, wherever its points are
+        # the draws of the search; all points of a line have the same draw
         draws: list[dict[str, float]] = [{}]
         if self._requirements.under is not None:
             draws = self.draws(self._requirements.draws, 0)
@@ -376,7 +388,10 @@ class Evaluator:
         return nothing
 
     def draws(self, count: int, stream: int) -> list[dict[str, float]]:
-        """Return draws of the dispersions by name; each stream has others."""
+        """Return ``count`` draws of the dispersions, each as values by name.
+
+        Different streams have different draws.  SceneError if an axis is not a distribution.
+        """
         under = self._requirements.under
         assert under is not None
         seed = self._seed + 1_000_003 * (stream + 1)
@@ -392,7 +407,11 @@ class Evaluator:
     def _dispersed(
         self, values: Mapping[str, float], draw: Mapping[str, float]
     ) -> dict[str, float]:
-        """Return a candidate's values with one draw; the draw of a free value is a factor of it."""
+        """Return the fields of a scene for a candidate's values and a draw.
+
+        If a field is both free and dispersed, the candidate's value is multiplied by the ratio of
+        the draw to the scene's value.  SceneError if the scene's value is 0.
+        """
         buffer = fields_of(self._scene, values)
         found = {**buffer, **draw}
         for name in set(buffer) & set(draw):
@@ -414,11 +433,15 @@ class Evaluator:
     def with_draws(
         self, draws: Sequence[Mapping[str, float]], values: Sequence[Mapping[str, float]]
     ) -> list[Candidate]:
-        """Return candidates run with all draws; candidates far from feasible without draws."""
+        """Return candidates evaluated with draws.
+
+        Candidates far from feasible are evaluated by their own run only.  Candidates that can no
+        longer be feasible after the first quarter of the draws are not run with the other draws.
+        """
         found = self._alone(values)
         worth = [n for n, each in enumerate(found) if each.violation < _WORTH_DRAWS]
         for n, candidate in enumerate(found):
-            if n not in worth:  # worse than any with draws
+            if n not in worth:  # larger than the violation of any candidate with draws
                 violation = candidate.violation + 2.0 * _STOPPED
                 found[n] = dataclasses.replace(candidate, violation=violation)
         if not worth:
@@ -439,7 +462,7 @@ class Evaluator:
         return self._noted(found)
 
     def _required(self, count: int) -> int:
-        """Return how many of some draws the search requires to succeed."""
+        """Return the number of draws, out of ``count``, that must succeed in the search."""
         share = self._requirements.confidence
         return min(math.ceil(share * count + math.sqrt(share * (1.0 - share) * count)), count)
 
@@ -450,10 +473,14 @@ class Evaluator:
         violations: np.ndarray,
         required: int | None = None,
     ) -> Candidate:
-        """Return a candidate with the quantiles of its draws at the required share of runs."""
+        """Return a candidate with the quantiles of its loads and its violation over the draws.
+
+        ``loads`` is (draws, keys), ``violations`` (draws,).  ``required`` is the number of draws
+        that must not exceed the quantiles; by default that of the search.
+        """
         rank = (required or self._required(len(violations))) - 1
         quantiles = np.sort(np.nan_to_num(loads), axis=0)[rank].tolist()
-        # its own violation has that of the capture range
+        # a missing capture range adds to the violation
         of_range = max(self._requirements.least_range - candidate.captured_share, 0.0)
         return dataclasses.replace(
             candidate,
@@ -465,7 +492,10 @@ class Evaluator:
     def check(
         self, candidates: Sequence[Candidate], stream: int, count: int | None = None
     ) -> list[tuple[Candidate, Probability]]:
-        """Return candidates with their quantiles in new draws, and their share of success."""
+        """Return each candidate with its quantiles in new draws, and its share of successful draws.
+
+        ``count`` is the number of draws, CHECK_DRAWS by default.
+        """
         draws = self.draws(count or CHECK_DRAWS, stream)
         loads, violations = self._run_draws([each.values for each in candidates], draws)
         required = math.ceil(self._requirements.confidence * len(draws))

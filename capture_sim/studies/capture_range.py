@@ -1,10 +1,10 @@
 """Capture range: the share of an area of approach that is captured within the limits.
 
-The area is a grid of approaches.  Along the axis with the most values, each change between
-neighbours is located by bisection; the lengths between these edges are averaged over the other
-axes (trapezoidal rule).  The error adds the width of the bisected intervals and two differences
-from half the grid: every second value along the line (islands narrower than a cell), and every
-second line.
+The area is a grid of approaches.  The lines of the grid are along the axis with the most values.
+Bisection locates each edge of the captured range between two neighbours on a line.  The captured
+lengths of the lines are averaged over the other axes (trapezoidal rule).  The error is the sum of
+three parts: the width of the bisected intervals, the change if only every second value along a line
+is used (for islands narrower than a cell), and the change if only every second line is used.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from capture_sim.studies.sweep import Recipe, result_columns, run_rows
 if TYPE_CHECKING:
     import pandas
 
-#: Ready areas by name.  ``idss``: initial contact conditions of the International Docking System
-#: Standard (interface definition document, revision E, 2016): closing rate 0.05 to 0.10 m/s,
+#: Predefined areas by name.  ``idss``: initial contact conditions of the International Docking
+#: System Standard (interface definition document, revision E, 2016): closing rate 0.05 to 0.10 m/s,
 #: lateral misalignment 0.10 m, yaw 4 degrees.
 AREAS: Mapping[str, Mapping[str, str]] = {
     "idss": {
@@ -41,13 +41,14 @@ AREAS: Mapping[str, Mapping[str, str]] = {
         "approach.speed": "0.05:0.10:3",
     }
 }
-#: Bisections of a change between neighbours on the grid.
+#: Number of bisections of the interval between two neighbours on the grid with different results.
 BISECTIONS = 5
 
-#: Runs that a worker does in one go.
+#: Number of runs in one task of a worker.
 _CHUNK = 20
 
-#: Returns whether approaches are captured: of each, the case and the values of the area's axes.
+#: Function that returns True for each approach that is captured.  Its argument has, for each
+#: approach, the index of the case and the values of the area's axes.
 Captures = Callable[[Sequence[tuple[int, tuple[float, ...]]]], Sequence[bool] | np.ndarray]
 
 
@@ -57,14 +58,14 @@ class CaptureRange:
 
     share: float  # 0 to 1
     error: float  # of the share
-    runs: int  # that located the edge, beyond those of the grid
+    runs: int  # runs that located the edges, without the runs of the grid
 
 
 def make_area(scene: Scene, texts: Sequence[str]) -> tuple[Axis, ...]:
     """Return the axes of an area of approach.
 
-    ``texts`` are ``NAME=LOW:HIGH:COUNT``, or a name of :data:`AREAS`.  SceneError if a name is not
-    one of the approach, a range is empty, or nothing has three values or more.
+    ``texts`` are ``NAME=LOW:HIGH:COUNT``, or names in :data:`AREAS`.  SceneError if a name is not a
+    value of the approach, if a range is empty, or if no axis has three values or more.
     """
     given: dict[str, str] = {}
     for text in texts:
@@ -99,9 +100,11 @@ def _is_ascending(axis: Axis) -> bool:
 
 
 def area_of_map(axes: Sequence[Axis]) -> tuple[Axis, ...]:
-    """Return the axes of the area in a sweep's grid: of the approach, shown on the map's axes.
+    """Return the axes of the area in a sweep's grid: the axes of its map that vary the approach.
 
-    Empty if the grid has none, or if an axis is not ascending or has fewer than three values.
+    The axes of the map are the two axes with the most different values.  Empty if the sweep has a
+    distribution, if no axis varies the approach, or if such an axis is not ascending or has fewer
+    than three values.
     """
     if any(axis.distribution is not None for axis in axes):
         return ()
@@ -112,7 +115,7 @@ def area_of_map(axes: Sequence[Axis]) -> tuple[Axis, ...]:
 
 
 def points_of(area: Sequence[Axis]) -> list[tuple[float, ...]]:
-    """Return the approaches of an area's grid, the last axis fastest."""
+    """Return the approaches of an area's grid; the last axis varies fastest."""
     return list(itertools.product(*(axis.values for axis in area)))
 
 
@@ -127,14 +130,14 @@ def capture_ranges(
     Parameters
     ----------
     area
-        Axes, ascending.
+        Axes of the area with ascending values.
     captured
-        (cases, points): whether each approach of the grid is captured, in the order of
+        Array (cases, points), True for each approach of the grid that is captured, in the order of
         :func:`points_of`.
     is_captured
-        Runs further approaches.
+        Function that runs further approaches.
     bisections
-        Halvings of the interval between two neighbours of the grid that differ.
+        Number of bisections between two neighbours on the grid with different results.
     """
     along = max(range(len(area)), key=lambda k: len(area[k].values))
     shape = tuple(len(axis.values) for axis in area)
@@ -176,9 +179,10 @@ def ranges_of_sweep(
     limits: Sequence[Limit],
     executor: Executor,
 ) -> dict[tuple[Any, ...], CaptureRange]:
-    """Return the capture ranges of a sweep over a grid, by the values of its other axes.
+    """Return the capture ranges of a sweep over a grid, by the values of the axes not in the area.
 
-    :func:`area_of_map` defines the area.  The result is empty if the sweep has no such grid.
+    The area is the result of :func:`area_of_map`.  Empty if there is no area or the sweep is
+    incomplete.
     """
     area = area_of_map([axis for axis in samples.axes if len(axis.values) != 1])
     if not area or len(table) < len(samples.rows):
@@ -208,18 +212,24 @@ def ranges_of_sweep(
 
 
 def _point(area: Sequence[Axis], along: int, others: Sequence[int], at: float) -> tuple[float, ...]:
-    """Return the values of an approach, its place on the line among them."""
+    """Return the values of an approach at position ``at`` on a line of the grid.
+
+    ``along`` is the axis of the line, ``others`` are the indices of the values on the other axes.
+    """
     index = iter(others)
     return tuple(at if k == along else axis.values[next(index)] for k, axis in enumerate(area))
 
 
 def _shares(x: np.ndarray, lines: np.ndarray, edges: np.ndarray, step: int = 1) -> np.ndarray:
-    """Return the captured share of each line; with ``step`` 2, as half of the grid shows it."""
+    """Return the captured share of each line, (cases, other axes..).
+
+    With ``step`` 2, only every second value along the line is used.
+    """
     ends = [*range(0, x.size - 1, step), x.size - 1]
     length = np.zeros(lines.shape[:-1])
     for first, last in itertools.pairwise(ends):
         at_low, at_high = lines[..., first], lines[..., last]
-        # the edge between both; of several, their mean
+        # the edge between both ends; if there are several edges, their mean
         inside = edges[..., first:last]
         known = np.isfinite(inside)
         edge = np.where(known, inside, 0.0).sum(axis=-1) / np.maximum(known.sum(axis=-1), 1)
@@ -230,7 +240,7 @@ def _shares(x: np.ndarray, lines: np.ndarray, edges: np.ndarray, step: int = 1) 
 
 
 def _weights(x: np.ndarray) -> np.ndarray:
-    """Return the weights of the trapezoidal rule for a mean."""
+    """Return the weights of the trapezoidal rule for a mean over ``x``."""
     if x.size == 1:
         return np.ones(1)
     gaps = np.diff(x)
@@ -240,7 +250,11 @@ def _weights(x: np.ndarray) -> np.ndarray:
 def _mean(
     values: np.ndarray, positions: Sequence[np.ndarray], every_second: int | None = None
 ) -> np.ndarray:
-    """Return the means of values (cases, other axes..); of one axis only every second value."""
+    """Return the means of values (cases, other axes..) over the axes, (cases,).
+
+    ``positions`` are the values of the axes.  On the axis with the index ``every_second``, only
+    every second value is used.
+    """
     for k, x in reversed(list(enumerate(positions))):
         if k == every_second and x.size > 2:
             kept = [*range(0, x.size - 1, 2), x.size - 1]

@@ -1,8 +1,8 @@
-"""Two runs compared: which of their series, in numbers, and in time after their first contacts.
+"""Comparison of two runs: choice of their series, key numbers, and differences over time.
 
-Of each quantity the finest series that both runs have is compared.  A simulated run has all
-quantities at the rate of ``bench/state``, a bench's bag only at that of its sensors: peaks found at
-1 kHz and at 100 Hz would differ by the sampling alone.
+For each quantity, the series with the highest rate that both runs have are compared.  A simulated
+run has all quantities at the rate of ``bench/state``, but the bag of a bench only has the rates of
+its sensors.  Peaks of series at 1 kHz and at 100 Hz would differ because of the sampling alone.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ CAPTURE_STATUS = "capture/status"
 DISTANCE = "distance"
 #: Quantities that are compared.
 COMPARED = (*PARTS, "force", DISTANCE)
-#: Name of the largest force of a sampled series; a touch between two samples may exceed it.
+#: Name of the largest sample of the force; the peak of a touch between two samples may exceed it.
 SAMPLED_FORCE = "largest sampled force, N"
 
 
 class RunFigure(NamedTuple):
-    """One number of a run, and its topic and rate."""
+    """One number of a run, with the topic and the rate that it comes from."""
 
     value: float
     source: str
@@ -46,17 +46,20 @@ class Side:
 
     run: Run
     contact: float  # first contact, s since the release
-    contact_source: str  # topic that shows it
+    contact_source: str  # topic in which it was found
     series: Mapping[str, Series]  # by quantity, of COMPARED
-    sources: Mapping[str, str]  # topic and rate of each
-    touches: Touches | None  # one by one; None if there are none
+    sources: Mapping[str, str]  # topic and rate by quantity
+    touches: Touches | None  # resolved touches; None if there are none
     touch_source: str  # topic and rate, or why there are none
-    # of the integration if both runs have it, else empty
+    # loads of the integration if both runs have them, else empty
     loads: Mapping[str, float | None] = field(default_factory=dict)
 
     @property
     def contact_may_be_late(self) -> bool:
-        """True if an earlier touch may lie between the samples of the force that shows it."""
+        """True if an earlier touch may lie between the samples of the force.
+
+        The first contact is then found in a sampled force, without resolved touches.
+        """
         return self.touches is None and self.contact_source.endswith("wrench")
 
     @property
@@ -68,9 +71,10 @@ class Side:
 def sides(a: Run, b: Run) -> tuple[Side, Side]:
     """Choose the series by which two runs are compared.
 
-    For each quantity one series of each run is chosen, so that the slower of the two is as fast as
-    possible.  Among equal rates, two series of one topic come first, then motion capture before
-    odometry.  RecordingError if a run contains no contact for the alignment.
+    For each quantity, one series of each run is chosen: the pair whose slower series has the
+    highest rate.  Among pairs with equal rates, a pair of the same topic is preferred, then motion
+    capture to odometry.  The rates of forces and distances are not compared.  RecordingError if a
+    run contains no contact to align it by.
     """
     sources_a, sources_b = _sources(a), _sources(b)
     chosen_a: dict[str, str] = {}
@@ -89,11 +93,11 @@ def sides(a: Run, b: Run) -> tuple[Side, Side]:
 
 
 def characteristics(side: Side, *, sampled: bool = False) -> dict[str, RunFigure]:
-    """Return a run's characteristic numbers by name with the unit; unmeasured numbers are absent.
+    """Return key numbers of a run by name with the unit; values not measured are absent.
 
-    Forces and times are taken from the touches located between samples, if these are recorded.
-    ``sampled`` adds the largest sample of the force, for a comparison with a run that has only
-    samples.
+    Forces and times are taken from the touches that were located between samples, if these are
+    recorded.  ``sampled`` adds the largest sample of the force, for the comparison with a run that
+    has only a sampled force.
     """
     figures = {"first contact, s": RunFigure(side.contact, side.contact_source)}
     touches = side.run.given.touches
@@ -133,9 +137,9 @@ def characteristics(side: Side, *, sampled: bool = False) -> dict[str, RunFigure
 
 
 def _closest(side: Side) -> RunFigure | None:
-    """Return the closest approach, m: of exact samples, else as the detector estimates it.
+    """Return the closest approach, m: from exact samples, else the estimate of the detector.
 
-    None if it is not known, or if noise hides it.
+    None if it is not known, or if the noise is too large for an estimate.
     """
     run, source = side.run, side.sources.get(DISTANCE, "")
     if source and CAPTURE_STATUS not in source:
@@ -153,7 +157,7 @@ def _closest(side: Side) -> RunFigure | None:
 
 
 def _sources(run: Run) -> dict[str, dict[str, Series]]:
-    """Return every series of each quantity by its topic; unmeasured quantities are absent."""
+    """Return the series of each quantity by topic; quantities not measured are absent."""
     sources = {
         name: {source: series for source, series in by_source.items() if series.t.size}
         for name, by_source in run.series.items()
@@ -165,13 +169,16 @@ def _sources(run: Run) -> dict[str, dict[str, Series]]:
 def _finest(
     name: str, series_a: Mapping[str, Series], series_b: Mapping[str, Series]
 ) -> tuple[str, str]:
-    """Return the topics that a quantity is compared by, of its series by topic."""
+    """Return the topics of both runs by which a quantity is compared.
+
+    ``series_a`` and ``series_b`` are the series of the quantity by topic.
+    """
 
     def rank(pair: tuple[str, str]) -> tuple[float, bool, int]:
         a, b = pair
         slower = min(series_a[a].rate, series_b[b].rate)
         places = list(series_a).index(a) + list(series_b).index(b)
-        # two topics do not mean quite the same there: filtered, or estimated
+        # forces and distances of two topics differ in filtering or estimation: ignore their rate
         rate = float(f"{slower:.2g}") if name not in ("force", DISTANCE) else 0.0
         return rate, a == b, -places
 
@@ -186,7 +193,7 @@ def _side(run: Run, sources: Mapping[str, Mapping[str, Series]], chosen: Mapping
     contact = run.first_contact.t
     return Side(
         run=run,
-        # a message counts what was since the one before
+        # a message counts the touches since the previous message
         contact=contact if touches is None else min(contact, float(touches.start[0])),
         contact_source=run.first_contact.source,
         series=series,
@@ -197,7 +204,10 @@ def _side(run: Run, sources: Mapping[str, Mapping[str, Series]], chosen: Mapping
 
 
 def _without_unresolved_touches(side: Side, other: Side) -> Side:
-    """Return a run without its touches if the force they are from misses such as the other has."""
+    """Return a side without its touches if its force is sampled too slowly.
+
+    The force is too slow if it may miss touches as short as the shortest touch of the other side.
+    """
     if side.touches is None or other.touches is None:
         return side
     shortest = float(np.nanmin(other.touches.lasted, initial=np.inf))
@@ -208,23 +218,23 @@ def _without_unresolved_touches(side: Side, other: Side) -> Side:
     return replace(side, touches=None, touch_source=reason)
 
 
-#: Touches of two runs are a pair if their times after the first contact differ by less than this
-#: time, s, and this share of the time.
+#: Touches of two runs can be a pair if their times after the first contact differ by less than
+#: PAIR_TIME (s) plus PAIR_SHARE times the later of the two times.
 PAIR_TIME, PAIR_SHARE = 0.005, 0.1
 
 
 def pair_touches(a: Touches, b: Touches) -> list[tuple[int | None, int | None]]:
-    """Return the corresponding touches of two runs, by index; None for a touch without a partner.
+    """Return pairs of corresponding touches of two runs, by index; None if there is no partner.
 
-    The touches of a pair are at the same wall and near each other in time, and pairs keep their
-    order.  The chosen pairing has the least sum of time differences; a touch without a partner
-    counts half of the largest permitted difference.  Times must count from the first contacts.  An
-    unknown wall matches every wall.
+    Touches of a pair are at the same wall, and close to each other in time.  Pairs are in the order
+    of time in both runs.  The pairing minimises the sum of the time differences, where a touch
+    without a partner counts as half of its largest permitted difference.  Times must be relative to
+    the first contact of each run.  A touch at an unknown wall matches any wall.
     """
     count_a, count_b = a.start.size, b.start.size
     limits = [PAIR_TIME + PAIR_SHARE * abs(t) for t in (*a.start.tolist(), *b.start.tolist())]
     alone_a, alone_b = 0.5 * np.array(limits[:count_a]), 0.5 * np.array(limits[count_a:])
-    cost = np.zeros((count_a + 1, count_b + 1))  # of the touches after i and k
+    cost = np.zeros((count_a + 1, count_b + 1))  # of the touches from i and from k on
     cost[:count_a, -1] = np.cumsum(alone_a[::-1])[::-1]
     cost[-1, :count_b] = np.cumsum(alone_b[::-1])[::-1]
     for i in reversed(range(count_a)):
@@ -254,29 +264,30 @@ def _may_pair(a: Touches, b: Touches, i: int, k: int) -> bool:
     return len(walls) < 2 and abs(t_a - t_b) < limit
 
 
-#: Samples that two series must have in common to be compared.
+#: Least number of common samples for a comparison of two series.
 LEAST = 4
 
 
 class Gap(NamedTuple):
-    """By how much a measured number of two runs differs, second run less first."""
+    """Difference of a measured quantity between two runs, second run minus first."""
 
-    series: str  # its quantity
-    part: SeriesPart  # of it
+    series: str  # name of the quantity
+    part: SeriesPart  # part of the quantity
     rms: float  # SI units
     largest: float  # SI units
-    at: float  # when it is largest, s after the first contact
-    begin: float  # first sample that was compared, s after the first contact
-    end: float  # last one
+    at: float  # time of the largest difference, s after the first contact
+    begin: float  # time of the first compared sample, s after the first contact
+    end: float  # time of the last compared sample, s after the first contact
 
 
 def overlap(
     a: Series, b: Series, contact_a: float, contact_b: float, window: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return common sample times (n,), s after the first contacts, and the counts of samples (2,).
+    """Return the times at which two series are compared, (n,), and the numbers of samples, (2,).
 
-    Each count is the number of samples of one series in the common interval.  The times are those
-    of the series with fewer samples; the finer series is interpolated.
+    Times are in s after the first contact of each run.  The numbers are the samples of each series
+    in the interval that both series cover.  The times are the sample times of the series with fewer
+    samples there; the other series is then interpolated.
     """
     mine, theirs = a.t - contact_a, b.t - contact_b
     begin = max(0.0, mine[0], theirs[0]) - TICK
@@ -293,11 +304,12 @@ def gaps(
     contact_b: float,
     window: float,
 ) -> list[Gap]:
-    """Return by how much two runs differ after their first contacts, ``b`` less ``a``.
+    """Return the differences of two runs after their first contacts, ``b`` minus ``a``.
 
-    Poses count from where they were at the first contact: two benches need not share an
-    origin, and the approach is a matter of the launch.  What has fewer than LEAST samples in
-    common is left out, and so is the force.  Times are in s, the window after the first contact.
+    Poses are relative to the pose at the first contact.  Reason: two benches need not have the same
+    origin, and the motion before the contact depends on the launch.  The force, and series with
+    fewer than LEAST common samples, are left out.  ``contact_a`` and ``contact_b`` are the times of
+    the first contacts, s; ``window`` is the compared time after the first contact, s.
     """
     found = []
     for name, parts in PARTS.items():

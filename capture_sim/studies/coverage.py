@@ -1,7 +1,7 @@
-"""Coverage of the ranges by NSGA-II (Deb et al. 2002, of pymoo): where the good buffers are.
+"""Coverage of the ranges by NSGA-II (Deb et al. 2002, from pymoo): global search for good buffers.
 
-The search begins with buffers spread over the ranges.  It finds the basins of a front, and its
-coarse shape; :mod:`capture_sim.studies.refinement` then finds the minima.
+The search begins with buffers that are spread over the ranges.  It finds the basins and the coarse
+shape of a front.  :mod:`capture_sim.studies.refinement` then finds the minima.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from capture_sim.studies.candidates import Candidate
 from capture_sim.studies.limits import Measure
 from capture_sim.studies.refinement import CandidatePoints, Evaluate
 
-#: Relative width within which values of an objective count as equal.
+#: Relative difference up to which values of an objective count as equal.
 SAME = 0.01
-#: An objective is not decided by the buffer if this share of the first feasible buffers, and at
-#: least so many, reach its least value: a peak that all soft buffers share.
+#: An objective does not depend on the buffer if at least this share of the first feasible buffers,
+#: and at least this number, have its best value, e.g. a peak that is equal for all soft buffers.
 _MANY, _FEWEST = 0.08, 5
-#: Buffers of a population for each free value; the share of the runs that begin the search, and
-#: their least number.
+#: Number of buffers of a population for each free value; share of the runs in the first population,
+#: and its minimum number of buffers.
 _POPULATION, _FIRST, _FEWEST_FIRST = 15, 0.25, 50
 
 
@@ -31,9 +31,10 @@ def cover(
     seed: int,
     begin: Sequence[Sequence[float]] = (),
 ) -> Iterator[list[Candidate]]:
-    """Search with ``runs`` runs, and yield each population after it was added to the points.
+    """Search the ranges, and yield each population after adding it to the points.
 
-    ``begin`` are the coordinates of buffers that the first population contains.
+    ``runs`` is the number of buffers to run.  ``begin`` are positions in the ranges, 0 to 1, of
+    buffers to include in the first population.
     """
     from pymoo.algorithms.moo.nsga2 import NSGA2
     from pymoo.core.evaluator import Evaluator as Marker
@@ -71,9 +72,10 @@ def cover(
 
 
 def undecided(candidates: Sequence[Candidate], objectives: Sequence[Measure]) -> str:
-    """Return which objective the buffer does not decide among candidates; empty if it does all.
+    """Return a message if an objective does not depend on the buffer; empty if all depend on it.
 
-    ``candidates`` are spread over the ranges.  The text names the loads that the buffer decides.
+    ``candidates`` must be spread over the ranges.  The message also names the loads that depend on
+    the buffer.
     """
     feasible = [each for each in candidates if each.feasible]
     if len(feasible) < 2 * _FEWEST:
@@ -99,6 +101,6 @@ def undecided(candidates: Sequence[Candidate], objectives: Sequence[Measure]) ->
 
 
 def _best_of(values: np.ndarray, sign: float) -> np.ndarray:
-    """Return the values within 1 % of the least, or of the greatest if the sign is negative."""
+    """Return the values within 1 % of the least value, or of the greatest if ``sign`` is -1."""
     best = np.min(sign * values)
     return values[sign * values <= best + SAME * abs(best)]

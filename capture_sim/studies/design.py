@@ -1,14 +1,18 @@
-"""Design of a buffer: limits and objectives in, one buffer or the front of the best buffers out.
+"""Design of a buffer: from limits and objectives to one buffer or the front of the best buffers.
 
-Some values of a scene are free.  The search (:mod:`capture_sim.studies.search`) has two steps, for
-the scene alone and then, where there are dispersions, with draws.  NSGA-II covers the ranges
-(:mod:`capture_sim.studies.coverage`).  Each row that is shown is then refined on its own: one
-objective is minimised, the others held (:mod:`capture_sim.studies.refinement`).  A row says how far
-it has converged: by the gain of its last pass, and by a second coverage and refinement with another
-seed, which alone shows a basin that the first has missed.  The search runs at the tolerance of
-sweeps and within limits that are smaller by 1e-5; the rows are then run as the scene is.
+Some values of a scene are free.  The search (:mod:`capture_sim.studies.search`) is made for the
+scene without dispersions and then, if there are dispersions, with draws.  It has these steps:
 
-An objective that the buffer does not decide ends the search, unless the ranges are narrow.
+- NSGA-II covers the ranges (:mod:`capture_sim.studies.coverage`).
+- Each row of the table is refined separately: one objective is minimised, with ceilings for the
+  other objectives (:mod:`capture_sim.studies.refinement`).
+- The convergence of a row is the gain of its last pass, and the difference to a second coverage and
+  refinement with another seed.  Only the second seed can show that the first missed a basin.
+
+The search runs at the tolerance of sweeps, with limits that are smaller by 1e-5.  The rows are then
+run at the tolerance of the scene.
+
+The search ends at once if an objective does not depend on the buffer, unless the ranges are narrow.
 """
 
 from __future__ import annotations
@@ -38,12 +42,12 @@ from capture_sim.studies.search import (
 )
 from capture_sim.studies.variables import FREE, FreeVariable, make_variables, with_values
 
-#: Most rows of the table over a front.
+#: Maximum number of rows of the table of a front.
 MAX_ROWS = 12
-#: Candidates of a search; with an area of approach each of them needs about 100 runs, with
-#: dispersions as many as there are draws.
+#: Default number of candidates of a search.  With an area of approach each candidate needs about
+#: 100 runs, with dispersions as many runs as there are draws.
 CANDIDATES, CANDIDATES_OF_AREA, CANDIDATES_OF_DRAWS = 8000, 1000, 1500
-#: Most candidates with draws that the cost of a limit begins with.
+#: Maximum number of candidates with draws from which the search for the cost of a limit starts.
 _KEPT_OF_DRAWS = 100
 
 
@@ -51,24 +55,24 @@ _KEPT_OF_DRAWS = 100
 class Design:
     """The result of a design; the rows are in the order of the first objective."""
 
-    scene: Scene  # that was given
+    scene: Scene  # the given scene
     requirements: Requirements
     variables: tuple[FreeVariable, ...]
-    rows: tuple[DesignRow, ...]  # one with one objective
+    rows: tuple[DesignRow, ...]  # a single row if there is one objective
     own: Candidate  # the scene's own buffer
-    refusal: str  # why there is no buffer; empty if there is one
-    interrupted: bool = False  # under dispersions, the front is then that of the scene alone
-    history: tuple[Candidate, ...] = field(default=(), repr=False)  # in order
+    refusal: str  # why there is no buffer; empty if there is a buffer
+    interrupted: bool = False  # True: with dispersions, the front is of the scene without them
+    history: tuple[Candidate, ...] = field(default=(), repr=False)  # all candidates, in order
     archive: Archive = field(default_factory=Archive, repr=False, compare=False)
 
     @property
     def met(self) -> bool:
-        """Whether there is a buffer."""
+        """True if there is a buffer."""
         return not self.refusal
 
     @property
     def front(self) -> tuple[Candidate, ...]:
-        """The buffers of the rows."""
+        """The buffers of the rows, in their order."""
         return tuple(row.candidate for row in self.rows)
 
     @property
@@ -93,24 +97,24 @@ def design_buffer(
     report: Callable[[Candidate], None] | None = None,
     archive: Archive | None = None,
 ) -> Design:
-    """Find the buffers that capture within limits and that no other beats in all objectives.
+    """Find the non-dominated buffers that capture within the limits.
 
     Parameters
     ----------
     scene
-        Scene with vehicles, cone, contact and approach; its values of free parameters are only
-        compared with the front.
+        Scene with vehicles, cone, contact and approach.  Its own buffer is compared with the front.
+        The search also starts from this buffer if it is within the ranges.
     requirements
-        Objectives, limits, and the dispersions under which they must hold.
+        Objectives, limits, and the dispersions with which the limits must be kept.
     free
-        Names of the values to search, e.g. ``"buffer.preload"``; with a range as
-        ``"buffer.k_A=100:2000"``, or a catalogue as ``"buffer.k_A=[450,500,560]"``.
-        ``"damping_ratio"`` is the damper as a share of the critical one.  ``buffer.c_A_rebound``
+        Names of the values to search, e.g. ``"buffer.preload"``, with a range, e.g.
+        ``"buffer.k_A=100:2000"``, or with a catalogue, e.g. ``"buffer.k_A=[450,500,560]"``.
+        ``"damping_ratio"`` is the damper as a share of critical damping.  ``buffer.c_A_rebound``
         keeps its ratio to ``buffer.c_A`` unless it is free.
     window
-        Values of an objective over which the rows are spaced; None: over the whole front.
+        Range of an objective over which the rows are spaced; None for the complete front.
     candidates
-        Number of buffers to try in all, 100 or more; None for 8000, 1500 with dispersions, or 1000
+        Total number of buffers to try, 100 or more; None for 8000, 1500 with dispersions, or 1000
         with an area of approach.
     seed
         Seed of the search and of the draws; the same seed gives the same front.
@@ -119,13 +123,13 @@ def design_buffer(
     report
         Function called with every candidate.
     archive
-        Runs that were made before, and those of this call; see
+        Archive with earlier runs, to which the runs of this call are added; see
         :class:`capture_sim.studies.candidates.Archive`.
 
     Returns
     -------
     Design
-        Its front, or the reason why there is none.  After Ctrl-C, the front found so far.
+        The front, or the reason why there is none.  After Ctrl-C, the front found so far.
 
     Raises
     ------
@@ -171,16 +175,18 @@ def design_buffer(
 
 
 def default_candidates(requirements: Requirements) -> int:
-    """Return the number of buffers that a design tries unless another is given."""
+    """Return the number of buffers that a design tries by default."""
     if requirements.area:
         return CANDIDATES_OF_AREA
     return CANDIDATES if requirements.under is None else CANDIDATES_OF_DRAWS
 
 
 def beaten_by(design: Design) -> list[tuple[Measure, float]]:
-    """Return the best value of each objective on the front, the others no worse than the own.
+    """Return the objectives in which the front beats the scene's own buffer, with the best values.
 
-    Objectives in which no buffer of the front beats the scene's own are left out.
+    For each objective, the value (SI) is the best on the front among buffers that are at least as
+    good as the scene's own buffer in all other objectives.  Objectives without such an improvement
+    are left out.
     """
     objectives = design.requirements.objectives
     own, front = costs_of([design.own], objectives)[0], costs_of(design.front, objectives)
@@ -202,7 +208,11 @@ def costs_of_limits(
     executor: Executor | None = None,
     candidates: int | None = None,
 ) -> tuple[LimitCost, ...]:
-    """Return the costs of a row's active limits in the objectives, from a share of the budget."""
+    """Return the cost of each active limit of a row in the objectives.
+
+    The number of candidates is the share RESERVE of the budget ``candidates``, whose default is
+    that of :func:`design_buffer`.  See :mod:`capture_sim.studies.limit_costs`.
+    """
     scene, requirements = search_scene(design.scene), search_requirements(design.requirements)
     runs = Evaluator(scene, requirements, seed, executor or InProcess(), None, design.archive)
     draws = runs.draws(requirements.draws, 0) if requirements.under is not None else []

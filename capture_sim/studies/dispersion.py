@@ -16,11 +16,11 @@ from capture_sim.studies.sweep import FAILED
 if TYPE_CHECKING:
     import pandas
 
-#: Loads that are shown first, in plots and printed tables.
+#: Loads that plots and printed tables show first.
 MAIN_LOADS = ("max_normal_force", "max_axial_stroke_in", "max_torsion", "nearest_distance")
-#: A capture whose tip is outside the capture zone again.
+#: Label of a capture whose tip is outside the capture zone again.
 CAPTURED_LEFT = f"{CAPTURED}, left again"
-#: Shares of the runs whose quantiles are shown, and the confidence of every interval.
+#: Shares of the quantiles that are shown, and the confidence level of every interval.
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 _CONFIDENCE = 0.95
 
@@ -30,7 +30,7 @@ class Probability(NamedTuple):
 
     met: int
     computed: int
-    failed: int  # could not be computed, in none of the other numbers
+    failed: int  # number of runs that could not be computed; not in the other numbers
     estimate: float
     low: float
     high: float
@@ -39,8 +39,8 @@ class Probability(NamedTuple):
 def probability(is_met: np.ndarray, failed: int = 0) -> Probability:
     """Return the share of runs that meet a condition, with its Clopper-Pearson interval.
 
-    ``is_met`` (n,) has the computed runs, and ``failed`` is the number of runs that could not be
-    computed.  NaN without runs.
+    ``is_met`` (n,) is True for each computed run that meets the condition.  ``failed`` is the
+    number of runs that could not be computed.  The share is NaN if there are no computed runs.
     """
     from scipy.stats import binomtest
 
@@ -54,7 +54,7 @@ def probability(is_met: np.ndarray, failed: int = 0) -> Probability:
 
 
 def capture_probability(table: pandas.DataFrame) -> Probability:
-    """Return the probability of capture of independent draws."""
+    """Return the probability of capture, estimated from the independent draws of a table."""
     return _probability(table, lambda rows: rows["verdict"] == CAPTURED)
 
 
@@ -84,7 +84,10 @@ def _probability(
 
 
 def _exceeds(rows: pandas.DataFrame, limits: Sequence[Limit]) -> pandas.Series:
-    """Return the runs that exceed a limit; a load that was not measured exceeds none."""
+    """Return True for each run that exceeds a limit.
+
+    A load that was not measured exceeds no limit.
+    """
     exceeding = rows["verdict"] != rows["verdict"]
     for limit in limits:
         exceeding |= rows[limit.key] > limit.value * (1.0 + ROUND_OFF)
@@ -92,21 +95,22 @@ def _exceeds(rows: pandas.DataFrame, limits: Sequence[Limit]) -> pandas.Series:
 
 
 def margin_at(table: pandas.DataFrame, limit: Limit, share: float) -> float:
-    """Return 1 - q / limit, q the (1 - share) quantile of a load; NaN without runs.
+    """Return the margin 1 - q / limit, where q is the (1 - share) quantile of the load.
 
-    Negative where more than this share of the runs exceed the limit.
+    The margin is negative if more than this share of the runs exceed the limit, and NaN if there
+    are no runs.
     """
     values = computed_rows(plain_rows(table))[limit.key].dropna().to_numpy(float)
     return 1.0 - float(np.quantile(values, 1.0 - share)) / limit.value if values.size else math.nan
 
 
 def outcome_labels(table: pandas.DataFrame) -> pandas.Series:
-    """Return the verdicts of a table; of captures also that the tip left the zone again."""
+    """Return the verdicts of a table, with CAPTURED_LEFT where the tip left the zone again."""
     return table["verdict"].where(~table["left_again"].astype(bool), CAPTURED_LEFT)
 
 
 def plain_rows(table: pandas.DataFrame) -> pandas.DataFrame:
-    """Return the rows of a table without the draws that favour the edges."""
+    """Return the rows of a table without the additional draws near the edges."""
     return table if "design" not in table else table[table["design"] != EDGES]
 
 
@@ -116,7 +120,10 @@ def computed_rows(table: pandas.DataFrame) -> pandas.DataFrame:
 
 
 class Quantile(NamedTuple):
-    """A quantile of a sample with its 95 % interval; an end is NaN where the sample has none."""
+    """A quantile of a sample with its 95 % interval.
+
+    An end of the interval is NaN if the sample is too small for it.
+    """
 
     share: float
     value: float
@@ -150,9 +157,10 @@ def quantiles(values: np.ndarray, shares: Sequence[float] = QUANTILES) -> list[Q
 
 
 def rank_correlations(table: pandas.DataFrame, inputs: Sequence[str]) -> pandas.DataFrame:
-    """Return Spearman's rank correlation of each input that varies with each main load.
+    """Return Spearman's rank correlation of each varied input with each main load.
 
-    The last column ``captured`` has the correlation with capture (1 or 0).  NaN: no variation.
+    The last column ``captured`` has the correlation with capture (1 or 0).  A correlation is NaN if
+    the input or the result does not vary.
     """
     plain = computed_rows(plain_rows(table))
     results = plain[[*MAIN_LOADS]].assign(captured=(plain["verdict"] == CAPTURED).astype(float))
@@ -161,21 +169,22 @@ def rank_correlations(table: pandas.DataFrame, inputs: Sequence[str]) -> pandas.
 
 
 class Indices(NamedTuple):
-    """Sobol's first and total indices of each input for a load, with 95 % intervals of each."""
+    """Sobol's first-order and total indices of each input for a load, with 95 % intervals."""
 
     load: str
     first: np.ndarray
     first_interval: np.ndarray
     total: np.ndarray
     total_interval: np.ndarray
-    used: int  # base samples whose runs could all be computed
+    used: int  # number of base samples with all runs computed
 
 
 def complete_samples(table: pandas.DataFrame, inputs: Sequence[str]) -> pandas.DataFrame:
-    """Return the runs of Saltelli's design of which the whole base sample was computed.
+    """Return the runs of Saltelli's design that belong to completely computed base samples.
 
-    A base sample is one run and, for each input, one that shares all others with it, and one more:
-    ``len(inputs) + 2`` rows.  An estimate from others would not be one of the design.
+    A base sample has ``len(inputs) + 2`` rows: two independent runs and, for each input, one run
+    that differs from the first in this input only.  Estimates from incomplete base samples would
+    be invalid.
     """
     size = len(inputs) + 2
     whole = table[: len(table) - len(table) % size]
@@ -186,9 +195,10 @@ def complete_samples(table: pandas.DataFrame, inputs: Sequence[str]) -> pandas.D
 def sobol_indices(
     table: pandas.DataFrame, inputs: Sequence[str], load: str, seed: int = 1
 ) -> Indices | None:
-    """Return the indices of a load from runs of Saltelli's design; None if the load does not vary.
+    """Return the Sobol indices of a load from runs of Saltelli's design.
 
-    ``inputs`` are in the order of the design, i.e. sorted by name.
+    None if the load does not vary, or if fewer than two base samples are complete.  ``inputs`` must
+    be in the order of the design, which is the order of their names.
     """
     from SALib.analyze import sobol
 
@@ -207,10 +217,11 @@ def sobol_indices(
 
 
 def main_effects(table: pandas.DataFrame, inputs: Sequence[str]) -> pandas.DataFrame:
-    """Return the change of each main load over the values of each input of a grid.
+    """Return the effect of each input of a grid on each main load.
 
-    The effect of an input is the range of the load's mean at each of its values; in the column
-    ``captured``, the range of the share of captures.  NaN where no run has the load.
+    The mean of a load is computed at each value of an input; the effect is the range of these
+    means.  In the column ``captured``, it is the range of the share of captures.  An effect is NaN
+    if no run has the load.
     """
     import pandas
 
@@ -221,9 +232,10 @@ def main_effects(table: pandas.DataFrame, inputs: Sequence[str]) -> pandas.DataF
 
 
 def wilks_runs(share: float, confidence: float = _CONFIDENCE, failures: int = 0) -> int:
-    """Return the number of runs, ``failures`` of them failed, that shows a probability (Wilks).
+    """Return the number of runs that demonstrates a probability of success by Wilks' method.
 
-    59 runs without a failure show 0.95 at 95 %.
+    ``share`` is the probability, and ``failures`` the number of unsuccessful runs among them.  For
+    example, 59 runs without a failure demonstrate 0.95 at 95 % confidence.
     """
     from scipy.stats import binom
 

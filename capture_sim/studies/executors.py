@@ -1,6 +1,6 @@
-"""Where independent runs are done: here, in processes, or on a Dask cluster.
+"""Executors of independent runs: in this process, in other processes, or on a Dask cluster.
 
-All are executors of ``concurrent.futures``.
+All executors have the interface of ``concurrent.futures``.
 """
 
 from __future__ import annotations
@@ -28,27 +28,30 @@ from capture_sim.errors import CaptureSimError, import_failure
 
 
 class ExecutorError(CaptureSimError):
-    """The workers cannot be had, or were lost."""
+    """Raised if workers are not available or were lost."""
 
 
 class InProcess(Executor):
-    """Does each task here, when its answer is asked for."""
+    """Executor that runs each task in this process, when its result is read."""
 
     def map(self, fn: Callable[..., Any], *iterables: Iterable[Any], **_: Any) -> Iterator[Any]:
-        """Return the answers in the order of the arguments."""
+        """Return the results in the order of the arguments."""
         return map(fn, *iterables)
 
 
 class _Processes(ProcessPoolExecutor):
-    """Processes of this machine; Ctrl-C does not reach them, and they end with this one."""
+    """Processes on this machine.
+
+    They do not receive Ctrl-C, and they end when this process ends.
+    """
 
     def __init__(self, count: int) -> None:
-        # spawned: a fork would copy the compiler's threads in whatever state they are
+        # spawn, because a fork would copy the compiler's threads in an undefined state
         super().__init__(count, multiprocessing.get_context("spawn"), _begin_worker)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        # a process that this starts does not run the user's script again: what it does is in this
-        # package alone
+        # replace __main__ while a process may start: the new process then does not run the user's
+        # script again, because its tasks use only this package
         main = sys.modules["__main__"]
         sys.modules["__main__"] = ModuleType("__main__")
         try:
@@ -61,19 +64,22 @@ class _Processes(ProcessPoolExecutor):
         self.shutdown(cancel_futures=True)
 
 
-#: Signals that end a study: Ctrl-C, and what batch queues send.
+#: Signals that end a study: SIGINT (Ctrl-C), and SIGTERM, which batch queues send.
 _ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Postpone Ctrl-C and SIGTERM to the end, and shield processes that are started inside.
+    """Delay the handling of SIGINT and SIGTERM until the end of the block.
 
-    A process that is interrupted while it starts prints a traceback, or is never ended.
+    A process that is started in the block inherits the signal mask, so it does not receive these
+    signals.  A signal during its start would make it print its own traceback or survive as an
+    orphan.
     """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)  # a process inherits it
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)  # inherited by new processes
     held: list[int] = []
-    # the mask is this thread's: another one may take the signal, for Python's handler here
+    # The mask applies to this thread only.  Another thread may receive the signal, and Python then
+    # calls the handler in the main thread: so replace the handlers, too.
     handlers = {}
     if threading.current_thread() is threading.main_thread():
         handlers = {number: signal.getsignal(number) for number in _ENDING}
@@ -106,10 +112,10 @@ def _begin_worker() -> None:
 
 @contextmanager
 def open_executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
-    """Give an executor for a while: processes, or a Dask cluster by its scheduler's address.
+    """Open an executor: processes, or a Dask cluster by the address of its scheduler.
 
-    One worker is this process, None takes a process for each core.  Raises ExecutorError if the
-    cluster does not answer, has no workers, or Dask is not installed.
+    One worker means this process; None means one process for each core.  Raises ExecutorError if
+    the cluster does not respond or has no workers, or if Dask is not installed.
     """
     workers = workers or len(os.sched_getaffinity(0))
     if scheduler is not None:
@@ -125,7 +131,7 @@ def open_executor(workers: int | None = None, scheduler: str | None = None) -> I
 
 
 def _dask_client(address: str) -> Any:
-    """Return a client of a cluster; its workers need this package of the same version."""
+    """Return a client of a cluster; its workers need the same version of this package."""
     parts = urlsplit(address)
     if parts.scheme not in ("tcp", "tls", "inproc", "ucx", "ws", "wss") or not parts.netloc:
         raise ExecutorError(f"--scheduler {address}: must be an address like tcp://127.0.0.1:8786")
@@ -150,9 +156,10 @@ def answers(
     arguments: Sequence[Any],
     report: Callable[[int, int], None] | None = None,
 ) -> Iterator[Any]:
-    """Yield the answers in the order of the arguments, each as soon as those before it are there.
+    """Yield the results of a function in the order of its arguments.
 
-    ``report`` is called with how many of how many are done.  Raises ExecutorError if the workers
+    A result is yielded as soon as it and all results before it are available.  ``report`` is called
+    with the number of results and the number of arguments.  Raises ExecutorError if the workers
     were lost.
     """
     try:
@@ -161,7 +168,7 @@ def answers(
                 report(done, len(arguments))
             yield answer
     except Exception as error:
-        # Dask's own, as KilledWorker, are known only where Dask is installed
+        # exceptions of Dask, e.g. KilledWorker, can be imported only if Dask is installed
         if not isinstance(error, (BrokenExecutor, CancelledError)) and (
             type(error).__module__.partition(".")[0] != "distributed"
         ):

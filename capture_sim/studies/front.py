@@ -1,8 +1,8 @@
-"""Fronts of several objectives, all to be minimised: layers, knee, rows of a table.
+"""Fronts of several objectives to minimise: layers, knee, and rows of a table.
 
-Points are arrays (n, objectives): of loads the logarithms, see
-:meth:`capture_sim.studies.limits.Measure.cost`.  Distances are measured in shares of the front's
-own ranges.
+Points are arrays (n, objectives) of costs, which are logarithms for loads; see
+:meth:`capture_sim.studies.limits.Measure.cost`.  Before distances are computed, each objective is
+divided by its range over the front.
 """
 
 from __future__ import annotations
@@ -24,22 +24,27 @@ def require_pymoo() -> None:
 
 
 def layers(points: np.ndarray) -> list[np.ndarray]:
-    """Return the indices of the front, of the front without that, and so on."""
+    """Return the indices of the points in each layer.
+
+    The first layer is the non-dominated front.  Each further layer is the front of the points that
+    are not in the layers before.  Only the first of several equal points is included.
+    """
     from pymoo.util.nds.non_dominated_sorting import NonDominatedSorting
 
     if not len(points):
         return []
-    # two points that are equal do not dominate each other: one of them is enough
+    # equal points do not dominate each other, and one of them is enough
     _, first = np.unique(points, axis=0, return_index=True)
     first.sort()
     return [first[layer] for layer in NonDominatedSorting().do(points[first])]
 
 
 def knee(points: np.ndarray) -> int:
-    """Return the index of a front's point with the least sum of objectives.
+    """Return the index of the point of a front with the least sum of scaled objectives.
 
-    Of two objectives, this is the point farthest below the straight line between both ends.  Of a
-    force and a stroke that line is, by the logarithms, one of about the same absorbed energy.
+    With two objectives, it is the point farthest below the straight line between both ends.  For a
+    force and a stroke, whose costs are logarithms, the absorbed energy is about constant on this
+    line.
     """
     return int(_scaled(points).sum(axis=1).argmin())
 
@@ -47,8 +52,8 @@ def knee(points: np.ndarray) -> int:
 def spread_points(points: np.ndarray, most: int, marked: Sequence[int] = ()) -> list[int]:
     """Return the indices of at most ``most`` points spread over a front.
 
-    The selection takes the ends and the marked points, and then repeatedly the point farthest from
-    all selected points.  The indices are in the order of the first objective.
+    The marked points and the ends of the front come first.  Then the point farthest from all chosen
+    points is added repeatedly.  The indices are returned in the order of the first objective.
     """
     scaled = _scaled(points)
     chosen = list(dict.fromkeys([*marked, *scaled.argmin(axis=0).tolist()]))[:most]

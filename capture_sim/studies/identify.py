@@ -1,14 +1,17 @@
-"""Fitting parameters of the bench to one run, with standard errors.
+"""Identification: fit of parameters of the bench to one run, with standard errors.
 
-It is the joint fit of :mod:`capture_sim.studies.calibration` with one trial.  Its start poses are
-fitted too, and the release if it is named.
+It is the joint fit of :mod:`capture_sim.studies.calibration` with one trial.  The start poses are
+fitted too, and so is the release time if it is named.
 
-Poses, stroke and torsion depend on the parameters smoothly, through all chatter of the tip.
-A sampled contact force does not: a touch lasts half a millisecond, so samples hit or miss
-it.  Instead of it the first touches serve, by the time of their start and their impulse.  Touches
-that were not found in a sampled force, e.g. those of a simulation, serve by their peak force.  A
-load cell's filter and clock delay all touches by the same unknown time, which is fitted with the
-rest: it would change rolling resistance by several of its standard errors.
+Poses, stroke and torsion depend smoothly on the parameters, even if the tip chatters.  A sampled
+contact force does not, because a touch lasts half a millisecond and samples hit or miss it.
+Therefore the fit uses the first touches instead: their start times and impulses.  For touches that
+were not found in a sampled force, e.g. touches of a simulation, it uses the peak force instead of
+the impulse.
+
+The filter and the clock of a load cell delay all touches by the same unknown time.  This delay is
+fitted together with the parameters.  Without it, rolling resistance would change by several of its
+standard errors.
 """
 
 from __future__ import annotations
@@ -30,8 +33,8 @@ from capture_sim.studies.calibration.descent import RESTARTS
 from capture_sim.studies.calibration.parameters import parameters_of
 from capture_sim.studies.calibration.trial import launched, resolved, trial_of
 
-#: Name of a parameter that is in no scene: the actual time of the release, s after the
-#: time that is taken for it.
+#: Name of a parameter that is not in a scene: the actual time of the release, s after the assumed
+#: time of the release.
 RELEASE = "release"
 
 
@@ -43,24 +46,24 @@ class Fit:
     values: np.ndarray  # (k,)
     errors: np.ndarray  # (k,), standard errors; infinite if not determined
     correlation: np.ndarray  # (k, k), of the errors
-    chi2: float  # per degree of freedom: 1 when the model explains all but the noise
+    chi2: float  # per degree of freedom: 1 if the model explains all but noise
     freedom: int  # degrees of freedom: residuals less parameters
-    at_bound: tuple[str, ...]  # parameters at a bound of their range: their errors mean nothing
-    evaluations: int  # simulations
-    scene: Scene = field(repr=False)  # with the fitted values
+    at_bound: tuple[str, ...]  # parameters at a bound of their range: errors are invalid
+    evaluations: int  # number of simulations
+    scene: Scene = field(repr=False)  # scene with the fitted values
     calibration: Calibration = field(repr=False)  # the fit with its tests, and the start poses
-    touches: int = 0  # number that was used
+    touches: int = 0  # number of touches used
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Parameters that the measurements do not depend on."""
+        """Parameters that have no influence on the measurements."""
         return tuple(
             n for n, e in zip(self.names, self.errors, strict=True) if not math.isfinite(e)
         )
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Reasons why the fit does not count; empty if it passed every test."""
+        """Reasons why the fit is not valid; empty if it passed all tests."""
         return self.calibration.findings
 
 
@@ -83,34 +86,35 @@ def identify(
     scene
         Scene with the initial values of the search.
     run
-        The measured run.  Its sampled force is not used: samples hit or miss a touch by chance.
-        The simulated launch is the commanded one, for all parameters; without a recorded command
-        it is the launch of the scene.  The first ``launcher/hold`` after the release ends what is
-        used.
+        The measured run.  Its sampled force is not used, because samples hit or miss a touch by
+        chance.  The simulated launch is the recorded launch command, whatever the parameters are;
+        without a recorded command it is the launch of the scene.  Measurements after the first
+        ``launcher/hold`` that follows the release are not used.
     names
-        ``c_rr`` (of both vehicles), ``e``, ``mu``, ``c_A``, fields, e.g. ``buffer.k_A``, or errors
-        of sensors, see :func:`capture_sim.calibrate`; also :data:`RELEASE` if the release time is
-        not known exactly.  Start poses, e.g. ``initial.chaser.y``, are always fitted; to name one
-        reports it.
+        Names of the parameters: ``c_rr`` (of both vehicles), ``e``, ``mu``, ``c_A``, fields, e.g.
+        ``buffer.k_A``, or errors of sensors, see :func:`capture_sim.calibrate`.  Add
+        :data:`RELEASE` if the release time is not known exactly.  Start poses, e.g.
+        ``initial.chaser.y``, are always fitted; a start pose that is named here is also reported.
     touches
         The first touches; None to fit without touches.  Touches from a force that is sampled too
         slowly for the touches of the scene are not used.
     noise
-        Standard deviations by series, one for each of its parts; without them they are estimated.
+        Standard deviations by series, one for each part of the series; None to estimate them.
     until
         End of the measurements that are used, s.
     starts
-        Maximum number of searches: the first one, and restarts around the place that it finds.
-        With one, neither restarts nor a search for what the model lacks test the fit.
+        Maximum number of searches: the first search, and restarts around its result.  With 1, the
+        fit is tested neither by restarts nor by a search for effects that the model lacks.
     seed
         Seed of the restarts.
     report
-        Function called with the number of simulations made and about to be made.
+        Function called with the number of simulations made and the total number expected.
 
     Raises
     ------
     SceneError
-        A name is unknown or given twice, nothing was measured, or a noise is not positive.
+        A name is unknown or given twice, nothing was measured, or a standard deviation is not
+        positive.
     RecordingError
         A vehicle has no poses.
     """
@@ -145,7 +149,7 @@ def identify(
 
 
 def _fit_of(found: Calibration, names: tuple[str, ...], touches: int) -> Fit:
-    """Return a calibration by one trial as a fit."""
+    """Return the calibration with one trial as a fit of the named parameters."""
     values, errors = [], []
     start = found.starts[0]
     for name in names:
@@ -175,6 +179,6 @@ def _fit_of(found: Calibration, names: tuple[str, ...], touches: int) -> Fit:
 
 
 def is_explained(fit: Fit) -> bool:
-    """True if the residuals are no larger than the noise floor."""
-    # chi2 of so many freedoms scatters by sqrt(2 / freedom); noise is known to some 10 %
+    """Return True if the residuals are no larger than the noise floor."""
+    # reduced chi2 has a standard deviation of sqrt(2 / freedom); the noise is known to about 10 %
     return fit.chi2 < 1.2 + 5.0 * math.sqrt(2.0 / fit.freedom)

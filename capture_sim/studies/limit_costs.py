@@ -1,10 +1,14 @@
-"""What a limit costs: what 1 and 5 per cent more of it bring in the objectives.
+"""Costs of limits: changes of the objectives if a limit is increased by 1 and by 5 per cent.
 
-Each objective is minimised again with the wider limit, the others held at the row's values, from
-the row and from what the search has found.  The same is done with the limit as it is, so that a
-change is no remainder of the search.  Loads have kinks and jumps at the optima, so slopes of runs
-nearby would not tell.  The error is the larger of what a last restart gains and of the difference
-to a second seed, of both optimisations.
+Each objective is minimised again with the wider limit, while the other objectives may not exceed
+the row's values.  The starts are the row and the candidates of the search.  The optimisation is
+also repeated with the unchanged limit, so that incomplete convergence of the search does not count
+as a change.  Gradients from runs near the optimum would be misleading, because loads have kinks and
+jumps there.
+
+The error of a change is the larger value of two optimisations, with and without the wider limit.
+The error of an optimisation is the gain of its last restart or its difference to a second seed,
+whichever is larger.
 """
 
 from __future__ import annotations
@@ -21,21 +25,21 @@ from capture_sim.studies.limits import Limit
 from capture_sim.studies.refinement import CandidatePoints, Evaluate, Goal, refine, refine_from
 from capture_sim.studies.variables import FreeVariable
 
-#: Use of a limit from which on it is active.
+#: Least use (share of the limit) of an active limit.
 ACTIVE = 0.98
-#: By how much a limit is widened, relative.
+#: Relative increases of a limit.
 STEPS = (0.01, 0.05)
-#: Sizes of the first simplices and of a restart's, shares of the ranges; candidates of an
-#: optimisation, at least and at most; most points of the search that an optimisation begins with.
+#: Sizes of the first simplex and of the simplex of a restart, in shares of the ranges; minimum and
+#: maximum number of candidates of an optimisation; maximum number of points from which it starts.
 _SIZE, _SIZE_OF_RESTART, _FEWEST, _MOST, _KEPT = 0.02, 0.003, 40, 200, 2000
-#: Use of a limit from which on more of it must bring something.
+#: Least use of a limit for which a wider limit must improve the objective.
 _BINDING = 0.999
-#: Least error that is stated: what the tolerance of the runs makes of a change.
+#: Least error of a change, due to the tolerance of the runs.
 _LEAST_ERROR = 1e-6
 
 
 class CostChange(NamedTuple):
-    """Relative change of an objective, and its error; NaN where it was not found out."""
+    """Relative change of an objective, and its error; NaN if it could not be determined."""
 
     value: float
     error: float
@@ -43,14 +47,14 @@ class CostChange(NamedTuple):
 
 @dataclass(frozen=True)
 class LimitCost:
-    """The effect of a wider limit; a negative change of a load is a gain."""
+    """Changes of the objectives with a wider limit; a negative change of a load is a gain."""
 
     limit: Limit
-    use: float  # share of the limit
-    changes: tuple[tuple[CostChange, ...], ...]  # of each step, of each objective
+    use: float  # load of the row as a share of the limit
+    changes: tuple[tuple[CostChange, ...], ...]  # by step and objective
 
 
-#: Gives the evaluation of candidates under requirements.
+#: Function that returns the evaluation of candidates for some requirements.
 EvaluatorOf = Callable[[Requirements], Evaluate]
 
 
@@ -69,22 +73,22 @@ def limit_costs(
     runs: int,
     seed: int = 1,
 ) -> tuple[LimitCost, ...]:
-    """Return what each active limit of a row costs; empty if none is active.
+    """Return the cost of each active limit of a row; empty if no limit is active.
 
     Parameters
     ----------
     row
-        The buffer.
+        Buffer of the row.
     known
-        Values of buffers that were run before; with ``evaluate`` they cost nothing.
+        Values of buffers that were run before; ``evaluate`` returns them without new runs.
     variables, requirements
-        Of the search.
+        Free values and requirements of the search.
     evaluate
-        Gives the evaluation under other requirements.
+        Function that returns the evaluation of candidates for other requirements.
     runs
-        Number of candidates to try in all, about.
+        Approximate total number of candidates to try.
     seed
-        Of the second seed's simplices.
+        Seed of the simplices of the second optimisation.
     """
     active = [x for x in requirements.limits if x.use(row.loads[x.key]) >= ACTIVE]
     if not active:
@@ -114,7 +118,7 @@ def limit_costs(
                 error = max(new.error, base[n].error, _LEAST_ERROR)
                 difference = new.value - base[n].value
                 if difference == 0.0 and limit.use(_load(base[n], limit)) > _BINDING:
-                    difference = math.nan  # nothing better at a limit: the search is stuck
+                    difference = math.nan  # no gain from an active limit: the search is stuck
                 if objective.sign > 0.0:
                     of_step.append(CostChange(math.expm1(difference), error))
                 else:
@@ -137,7 +141,10 @@ def _optimum(
     runs: int,
     seed: int,
 ) -> _Optimum:
-    """Minimise a goal twice, with two seeds, and restart the first."""
+    """Minimise a goal twice, with two seeds, and restart the first search.
+
+    ``begin`` are values of buffers to start from, the most important ones first.
+    """
     start = CandidatePoints(variables, requirements.objectives)
     start.add(evaluate(begin[:_KEPT]))
     found = []
@@ -152,7 +159,7 @@ def _optimum(
             refine_from(goal, near, points, evaluate, runs // 2, _SIZE_OF_RESTART)
             gain = before - float(points.goal_values(goal).min())
         else:
-            refine([goal], points, evaluate, runs, rng)  # other basins
+            refine([goal], points, evaluate, runs, rng)  # look for other basins
         found.append((float(points.goal_values(goal).min()), points.best(goal, 1)[0]))
     values = [value for value, _ in found]
     best = found[int(np.argmin(values))][1]

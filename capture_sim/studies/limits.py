@@ -1,4 +1,4 @@
-"""Quantities that a study limits or minimises: the loads of its runs, and the capture range."""
+"""Limits and objectives of a study: the loads of its runs, and the capture range."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from capture_sim.run.loads import LOADS, Load
 from capture_sim.scene.quantities import POSITIVE, Declared, accept
 
 _BEFORE_LATCH = "_before_latch"
-#: Names of all loads in results: of the whole run and until the latch closes.
+#: Names of all loads in results, for the complete run and until the latch closes.
 LOAD_KEYS = tuple(
     f"{load.key}{period}"
     for load in LOADS
@@ -22,38 +22,40 @@ LOAD_KEYS = tuple(
 )
 
 
-#: Share of an area of approach that is captured; see capture_sim.studies.capture_range.
+#: Name of the share of an area of approach that is captured; see
+#: :mod:`capture_sim.studies.capture_range`.
 CAPTURE_RANGE = "capture_range"
-#: It is an objective like a load, without a limit that it must keep.
+#: The capture range as an objective, described like a load; it cannot have an upper limit.
 _RANGE = Load(CAPTURE_RANGE, "capture range", "1", "%", 100.0, ())
-#: Smaller values of a load, in its shown unit, count as this: their logarithm would rule a search.
+#: Least value of a load in a cost, in the unit of tables.  The logarithm of a smaller value would
+#: dominate a search.
 _LEAST_SHOWN = 1e-3
-#: A limit is kept up to this share: the error of a run at the tolerance of a study.
+#: Relative excess up to which a limit counts as kept: the error of a run at a study's tolerance.
 ROUND_OFF = 1e-6
-#: Most objectives of a design: more make no picture.
+#: Maximum number of objectives of a design, because a front of more cannot be plotted.
 MAX_OBJECTIVES = 3
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A load of the entire run, or until the latch closes; or the capture range."""
+    """A load of the complete run or until the latch closes, or the capture range."""
 
-    key: str  # of the load in results and tables, e.g. max_torsion_before_latch
+    key: str  # name in results and tables, e.g. max_torsion_before_latch
 
     @property
     def load(self) -> Load:
-        """The load without its period."""
+        """The load, regardless of its period."""
         name = self.key.removesuffix(_BEFORE_LATCH)
         return next(load for load in (*LOADS, _RANGE) if load.key == name)
 
     @property
     def is_before_latch(self) -> bool:
-        """True if the load counts until the latch closes."""
+        """True if the load is evaluated only until the latch closes."""
         return self.key.endswith(_BEFORE_LATCH)
 
     @property
     def sign(self) -> float:
-        """1 if less is better, -1 if more is."""
+        """1 if a smaller value is better, -1 if a larger value is better."""
         return -1.0 if self.key == CAPTURE_RANGE else 1.0
 
     @property
@@ -62,14 +64,15 @@ class Measure:
         return self.load.meaning + (" before the latch" if self.is_before_latch else "")
 
     def shown(self, value: float) -> str:
-        """Return a value of the load in the unit of tables."""
+        """Return a value of the load (SI) as text in the unit of tables."""
         return f"{value * self.load.factor:.4g}"
 
     def cost(self, value: float) -> float:
-        """Return a number that is less for a better value.
+        """Return the cost of a value (SI); a lower cost is better.
 
-        That of a load is its logarithm, so that differences are ratios: a front spans decades.
-        Values below 0.001 in the unit of tables count as equal.
+        The cost of a load is the natural logarithm of its value in the unit of tables, because a
+        front spans decades.  A difference of costs is then a ratio of loads.  Values below 0.001 in
+        the unit of tables have the same cost.
         """
         if self.sign < 0.0:
             return -value
@@ -88,11 +91,11 @@ class Limit(Measure):
         return f"{self.meaning} <= {self.shown(self.value)} {self.load.shown_in}"
 
     def scaled(self, factor: float) -> Limit:
-        """Return the limit times a factor."""
+        """Return the limit multiplied by a factor."""
         return Limit(self.key, self.value * factor)
 
     def is_exceeded(self, value: float | None) -> bool:
-        """Whether a value of the load is above the limit by more than the error of a run."""
+        """Return True if a value of the load exceeds the limit by more than the error of a run."""
         return self.use(value) > 1.0 + ROUND_OFF
 
     def use(self, value: float | None) -> float:
@@ -105,8 +108,8 @@ class Limit(Measure):
 def make_limit(key: str, given: Any) -> Limit:
     """Return the limit of a load by its name in results.
 
-    ``given`` is a number in SI, or a text with a unit.  SceneError if there is no such load, or
-    the value is no positive number.
+    ``given`` is a number in SI, or a text with a unit.  SceneError if there is no such load, or if
+    the value is not a positive number.
     """
     _check_load(f"limit {key}", key)
     load = Limit(key, 1.0).load
@@ -122,10 +125,10 @@ def _check_load(where: str, key: str) -> None:
 
 
 def make_objectives(minimize: Iterable[str], maximize: Iterable[str] = ()) -> tuple[Measure, ...]:
-    """Return the objectives of a design by the names of loads to minimise.
+    """Return the objectives of a design from the names of loads to minimise.
 
-    ``maximize`` accepts :data:`CAPTURE_RANGE` only.  SceneError if a name is no load or given
-    twice, or if there are more than three or none.
+    ``maximize`` accepts :data:`CAPTURE_RANGE` only.  SceneError if a name is not a load or is given
+    twice, or if there are no objectives or more than three.
     """
     least, most = tuple(minimize), tuple(maximize)
     for key in least:
@@ -145,12 +148,12 @@ def make_objectives(minimize: Iterable[str], maximize: Iterable[str] = ()) -> tu
 
 
 def make_limits(given: Mapping[str, Any]) -> tuple[Limit, ...]:
-    """Return limits by the names of their loads; see :func:`make_limit`."""
+    """Return limits from values by the names of their loads; see :func:`make_limit`."""
     return tuple(make_limit(key, value) for key, value in given.items())
 
 
 def read_limits(texts: Iterable[str]) -> tuple[Limit, ...]:
-    """Return the limits in texts ``LOAD=VALUE``; SceneError if one is invalid or given twice."""
+    """Return limits from texts ``LOAD=VALUE``; SceneError if a limit is invalid or given twice."""
     given: dict[str, str] = {}
     for text in texts:
         key, sign, value = (part.strip() for part in text.partition("="))

@@ -1,7 +1,7 @@
-"""Outcomes of runs: to the verdict, to the end, or to the end of the first contact.
+"""Outcomes of runs up to the verdict, the end of the run, or the end of the first contact.
 
-These are the units of work of studies.  Contact and verdict are those of
-:func:`capture_sim.simulate`: same engine, same detector, same measurements.
+Studies consist of these runs.  Contact and verdict are identical to :func:`capture_sim.simulate`,
+because engine, detector and measurements are identical.
 """
 
 from __future__ import annotations
@@ -22,38 +22,42 @@ from capture_sim.run.integration import Integration
 from capture_sim.run.loads import loads_of
 from capture_sim.scene.parts import Scene
 
-_RATE = 2000.0  # Hz, of the samples of a first contact: the buffer's force
+_RATE = 2000.0  # sample rate of the buffer's force in a first contact, Hz
 _CONTACT_BLOCK = 200  # samples per call into the engine
 
-#: The verdict of a capture.
+#: Label of the verdict of a capture.
 CAPTURED = CaptureState.CAPTURED.label
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a run, SI units; after a failure, that of the run up to the failure."""
+    """Verdict and loads of a run, in SI units.
+
+    If the integration failed, all values refer to the run up to the failure.
+    """
 
     verdict: str  # captured, rebound, missed, stuck or undecided
-    t: float  # of the verdict, s since the release
-    reason: str  # the detector's, or why the run had to stop
+    t: float  # time of the verdict, s since the release
+    reason: str  # reason of the detector, or of the failure
     left_again: bool  # the tip was captured and is outside the capture zone again
     first_touch: float  # s since the release; NaN without a touch
-    loads: dict[str, Any]  # of the motion, see capture_sim.run.loads.loads_of
-    energy_residual: float  # largest of the energy ledger, J
-    failure: str = ""  # why the integration had to stop
-    behind: float = 0.0  # m, of the tip's centre behind BE at the end; 0 within the capture radius
+    loads: dict[str, Any]  # by name, see capture_sim.run.loads.loads_of
+    energy_residual: float  # largest residual of the energy balance, J
+    failure: str = ""  # why the integration failed; empty if it did not
+    # distance of the tip's centre behind BE at the end, m; 0 within the capture radius
+    behind: float = 0.0
 
     @property
     def captured(self) -> bool:
-        """Whether the tip was captured."""
+        """True if the tip was captured."""
         return self.verdict == CAPTURED
 
 
 def run_to_verdict(scene: Scene) -> Outcome:
-    """Run a scene until the detector reaches its verdict, or to ``run.t_end``.
+    """Run a scene until the detector's verdict, or until ``run.t_end`` if there is none before.
 
-    ``run.rate`` is the rate of the detector.  Loads cover the run to the end of the last computed
-    piece: at most 20 measurements of the detector after the verdict.
+    The detector has the rate ``run.rate``.  The run stops at most 20 measurements of the detector
+    after the verdict, and the loads include this time.
     """
     run = Integration(scene)
     run.integrate_to_verdict()
@@ -61,7 +65,7 @@ def run_to_verdict(scene: Scene) -> Outcome:
 
 
 def run_to_end(scene: Scene) -> Outcome:
-    """Run a scene to its end, with the verdict of :func:`run_to_verdict`."""
+    """Run a scene to its end; the verdict is the same as in :func:`run_to_verdict`."""
     run = Integration(scene)
     run.integrate()
     return outcome_of(run)
@@ -89,17 +93,17 @@ def outcome_of(run: Integration) -> Outcome:
 class FirstContactLoads:
     """Peak loads of a run's first contact, in SI units.
 
-    :func:`capture_sim.run.first_contact.first_cluster` says when that contact ends.  Strokes are
-    |Delta x| and |Delta theta| of the paper's design flow.
+    :func:`capture_sim.run.first_contact.first_cluster` defines the end of the first contact.  Axial
+    stroke and torsion are |Delta x| and |Delta theta| of the paper's design flow.
     """
 
     axial_stroke: float
     torsion: float
-    duration: float  # s, first touch's start to last one's end; NaN without a touch
-    peak_force: float  # normal, of a touch
-    buffer_force: float  # axial: what the vehicles feel
-    touches: int
-    failure: str = ""  # why the run had to stop; the rest is then of what was run
+    duration: float  # from start of the first touch to end of the last, s; NaN without touch
+    peak_force: float  # peak normal force of a touch
+    buffer_force: float  # axial force on the vehicles
+    touches: int  # number of touches
+    failure: str = ""  # why the run failed; the other values then refer to the run up to there
 
 
 def run_first_contact(scene: Scene) -> FirstContactLoads:
@@ -116,7 +120,7 @@ def run_first_contact(scene: Scene) -> FirstContactLoads:
     if began is None:
         return FirstContactLoads(0.0, 0.0, math.nan, 0.0, 0.0, 0, failure)
     end, touches = now if end is None else end, first_cluster(bench.touches)
-    bench = Bench(scene)  # once more, to the contact's end and no further: its extremes
+    bench = Bench(scene)  # run again, only to the end of the contact, for its extremes
     try:
         samples = bench.advance(np.append(grid[grid < end], end))
     except SimulationError as error:

@@ -1,16 +1,16 @@
-"""The paper's design flow (its section 4): strokes of the first contact in, a buffer out.
+"""The paper's design flow (its section 4): from strokes of the first contact to a buffer.
 
-Springs for the strokes of the first contact without a damper (steps 1 to 5), the damper by the
-energy that it absorbs (6) and the verdict (7).  :mod:`capture_sim.studies.design` designs for the
-whole run.
+Steps 1 to 5 find the springs for the strokes of the first contact without a damper.  Steps 6 and 7
+find the damper, by the energy that it absorbs and by the verdict.
+:mod:`capture_sim.studies.design` designs for the complete run instead.
 
-The unknowns are the springs' logarithms, what is to vanish is the logarithm of each stroke's ratio
-to its target: in these a spring's energy balance (stroke ~ k^-1/2 along the probe, ~ k^-1 across
-it) is a straight line.  The strokes have corners, though, where a touch more or less counts, and
-dampers that capture need not lie in one interval: both searches go over a grid where the direct way
-does not lead there.
+The search for springs solves for the logarithms of the stiffnesses.  The residuals are the
+logarithms of the ratio of each stroke to its target.  In these variables the energy balance of a
+spring (stroke ~ k^-1/2 along the probe, ~ k^-1 across it) is a straight line.  However, the strokes
+have kinks where the number of touches in the first contact changes, and the dampers that capture
+may lie in several intervals.  Both searches therefore use a grid if the direct method fails.
 
-Beyond the paper: the contact force may be limited.
+The limit of the contact force is an addition to the paper's flow.
 """
 
 from __future__ import annotations
@@ -41,33 +41,34 @@ from capture_sim.studies.outcome import (
 )
 from capture_sim.studies.variables import reduced_mass, with_values
 
-#: Relative error of a stroke at which the search for springs ends, and up to which it is met.
+#: Relative error of the strokes at which the search for springs ends, and the largest relative
+#: error that is accepted.
 CONVERGED_ERROR, ACCEPTED_ERROR = 2e-5, 0.01
-#: Dampers that are tried first: none, and these shares of the critical damping of both
-#: vehicles on the axial spring.
+#: Dampers that are tried first, as shares of the critical damping of both vehicles on the axial
+#: spring; the first is no damper.
 SHARES = (0.0, *np.geomspace(3e-3, 20.0, 36).tolist())
 
-#: Springs that are tried, N/m and N m/rad: the whole range, and a coarse grid.
+#: Springs that are tried, N/m and N m/rad: the limits of the search, and a coarse grid.
 _RANGE = ((1.0, 1e6), (0.1, 1e6))
 _GRID = (np.geomspace(20.0, 2e4, 7), np.geomspace(5.0, 2e4, 7))
-_RESTARTS = 4  # from the best of the grid
+_RESTARTS = 4  # searches from the best springs of the grid
 _MAX_HYBRID_RUNS, _MAX_SIMPLEX_RUNS = 25, 120  # runs
-_FIRST_STEP = 0.2  # of the springs' logarithms, see MINPACK's `factor`
-_BOUND_TOLERANCE = 0.01  # relative, of the interval of dampers that capture
-_PROMISING, _PARTS = 6, 12  # where no damper is good: those to search next to, parts between
+_FIRST_STEP = 0.2  # in the scaled logarithms of the springs, see MINPACK's `factor`
+_BOUND_TOLERANCE = 0.01  # relative error of the ends of the interval of dampers that capture
+_PROMISING, _PARTS = 6, 12  # without a good damper: number to search around, parts between
 
 
 @dataclass(frozen=True)
 class FirstContactTarget(Checked):
-    """What the buffer is to do in the first contact.
+    """Required strokes of the first contact, and the limit of the contact force.
 
     Attributes
     ----------
     axial_stroke, torsion : float
-        Strokes, inwards or outwards, and torsion of the first contact without the damper, m and
-        rad.
+        Axial stroke, inwards or outwards (m), and torsion (rad) of the first contact without the
+        damper.
     peak_force : float or None
-        Limit of the normal force of every touch until the verdict, N.
+        Upper limit of the normal force of every touch until the verdict, N; None for no limit.
     """
 
     axial_stroke: float = quantity("m", Range(1e-6, 1.0))
@@ -76,7 +77,7 @@ class FirstContactTarget(Checked):
 
     @property
     def limits(self) -> tuple[Limit, ...]:
-        """The target as limits of the entire run."""
+        """The target as limits of the complete run."""
         limits = [
             Limit("max_axial_stroke_in", self.axial_stroke),
             Limit("max_axial_stroke_out", self.axial_stroke),
@@ -89,9 +90,9 @@ class FirstContactTarget(Checked):
 
 @dataclass(frozen=True)
 class FlowRun:
-    """One run of the flow: the buffer tried, and its result; SI units.
+    """One run of the flow: the buffer that was tried, and its results, in SI units.
 
-    The search for springs has no verdict.
+    Runs of the search for springs have no verdict.
     """
 
     k_A: float
@@ -109,33 +110,37 @@ class FlowRun:
 class Energy:
     """Energies of a run, J."""
 
-    approach: float  # kinetic, of the reduced mass in the relative motion at the first touch
-    damper: float  # absorbed from the launch on: the area of load over stroke
-    contact: float  # lost in the touches: the area of normal force over penetration
+    approach: float  # kinetic energy of the reduced mass in the relative motion at first touch
+    damper: float  # absorbed since the launch: the area under load over stroke
+    contact: float  # dissipated in touches: the area in normal force over penetration
 
 
 @dataclass(frozen=True)
 class FirstContactDesign:
-    """The result of the flow."""
+    """The result of the design flow."""
 
     target: FirstContactTarget
     refusal: str  # why no buffer meets the target; empty if one does
-    scene: Scene | None = None  # with the buffer, or with the nearest to the target that was found
-    undamped: FirstContactLoads | None = None  # with these springs, without the damper
+    scene: Scene | None = None  # with the buffer, or with the buffer closest to the target
+    undamped: FirstContactLoads | None = None  # with the springs, without the damper
     damped: FirstContactLoads | None = None
-    outcome: Outcome | None = None  # of the scene's whole run
-    capturing: tuple[float, float] | None = None  # dampers that capture in the limits, N s/m
+    outcome: Outcome | None = None  # of the scene's complete run
+    capturing: tuple[float, float] | None = None  # dampers that capture within limits, N s/m
     energy: Energy | None = None  # until the verdict
     history: tuple[FlowRun, ...] = field(default=(), repr=False)  # every run, in order
 
     @property
     def met(self) -> bool:
-        """Whether there is a buffer."""
+        """True if there is a buffer."""
         return not self.refusal
 
     @property
     def exceeded(self) -> tuple[Limit, ...]:
-        """The limits that the entire run exceeds by more than the accepted error of a target."""
+        """Limits of the target that the complete run exceeds by more than the accepted error.
+
+        The target does not exclude this, because it concerns only the first contact and the force
+        until the verdict.
+        """
         if self.outcome is None:
             return ()
         wider = [
@@ -147,7 +152,7 @@ class FirstContactDesign:
 
 @dataclass(frozen=True)
 class Springs:
-    """The best springs found, N/m and N m/rad, with their results and the larger relative error."""
+    """The best springs found (N/m, N m/rad), their loads, and the larger relative error."""
 
     k_A: float
     k_T: float
@@ -156,7 +161,7 @@ class Springs:
 
     @property
     def met(self) -> bool:
-        """Whether both strokes are as required."""
+        """True if both strokes are within the accepted error of the target."""
         return self.error <= ACCEPTED_ERROR
 
     def in_scene(self, scene: Scene, c_A: float) -> Scene:
@@ -166,7 +171,7 @@ class Springs:
 
 @dataclass(frozen=True)
 class _Damper:
-    """A damper tried, with the springs that go with it."""
+    """A damper that was tried (N s/m), with its springs and the outcome of its run."""
 
     c_A: float
     springs: Springs
@@ -174,31 +179,36 @@ class _Damper:
 
     @property
     def captures(self) -> bool:
-        """Whether the run came to its end, with a capture."""
+        """True if the run ended with a capture and did not fail."""
         return self.outcome.captured and not self.outcome.failure
 
     @property
     def nearest(self) -> float:
-        """Closest approach of the tip to BE, m; infinite for a run that had to stop."""
+        """Closest approach of the tip to BE, m; infinite if the run failed."""
         return math.inf if self.outcome.failure else float(self.outcome.loads["nearest_distance"])
 
     @property
     def peak_force(self) -> float:
-        """Largest normal force of a touch, N."""
+        """Peak normal force of all touches, N."""
         return float(self.outcome.loads["max_normal_force"])
 
 
 class _ConvergedError(Exception):
-    """A search has come close enough."""
+    """Signals that the search for springs has reached the required error."""
 
 
 def with_buffer(scene: Scene, k_A: float, k_T: float, c_A: float) -> Scene:
-    """Return a scene with another buffer; a rebound damper keeps its ratio to the damper."""
+    """Return a scene with another buffer (N/m, N m/rad, N s/m).
+
+    A rebound damper keeps its ratio to the damper.
+    """
     return with_values(scene, {"buffer.k_A": k_A, "buffer.k_T": k_T, "buffer.c_A": c_A})
 
 
 def energy_of(scene: Scene, t_end: float) -> Energy:
-    """Return the energies of a run from its launch to ``t_end`` (s), as integrated with the motion.
+    """Return the energies of a run from its launch to ``t_end`` (s).
+
+    They are integrated together with the motion.
 
     Raises
     ------
@@ -219,16 +229,16 @@ def energy_of(scene: Scene, t_end: float) -> Energy:
 
 
 def _critical_damping(scene: Scene, k_A: float) -> float:
-    """Return the damper that just stops both vehicles swinging on the axial spring, N s/m."""
+    """Return the critical damping of both vehicles on the axial spring, N s/m."""
     return 2.0 * math.sqrt(k_A * reduced_mass(scene))
 
 
 def first_guess(scene: Scene, target: FirstContactTarget) -> tuple[float, float]:
     """Return springs (N/m, N m/rad) that would absorb the approach's energy at the target strokes.
 
-    The reduced mass of both vehicles, brought to rest along the axis by the axial spring; the
-    torsional spring bears, at the tip, the lateral part of that force on a wall at the cone's
-    angle with its friction.
+    The axial spring brings the reduced mass of both vehicles to rest along the axis.  The torsional
+    spring carries the lateral part of this force at the tip, which is in contact with a wall at the
+    cone's angle, with friction.
     """
     speed = approach_of(scene).speed
     k_A = reduced_mass(scene) * (speed / target.axial_stroke) ** 2
@@ -247,27 +257,27 @@ def find_springs(
     thorough: bool = True,
     report: Callable[[FlowRun], None] | None = None,
 ) -> Springs:
-    """Find the springs with which a scene has the target strokes.
+    """Find the springs for which a scene has the target strokes.
 
     Parameters
     ----------
     scene
-        Its own springs do not matter.
+        Scene of the run; its own springs are not used.
     target
-        The strokes.
+        Target strokes.
     c_A
-        Axial damping, N s/m; the paper has none in this step.
+        Axial damping, N s/m; the paper uses none in this step.
     start
-        k_A and k_T to start from.
+        Initial values of k_A (N/m) and k_T (N m/rad).
     thorough
-        Search on where Powell's hybrid method from there does not converge.
+        True to search further if Powell's hybrid method from ``start`` does not converge.
     report
-        Called with every run.
+        Function called with every run.
 
     Returns
     -------
     Springs
-        The best found; see ``met``.
+        Springs with the smallest error; ``met`` is True if the error is accepted.
     """
     # in these variables the slope of the residual is about minus one
     unit = np.array([2.0, 1.0])
@@ -281,10 +291,10 @@ def find_springs(
             strokes = response.axial_stroke, response.torsion
             report(FlowRun(k_A, k_T, c_A, *strokes, response.peak_force, reason=response.failure))
         strokes = response.axial_stroke, response.torsion
-        # without a stroke the error is that of the range of springs
+        # the lower bound avoids the logarithm of a stroke of 0
         r = np.log(np.maximum(strokes, 1e-12) / [target.axial_stroke, target.torsion])
         if response.failure:
-            r[0] = max(r[0], 1.0)  # the probe went in up to its tip: far too soft
+            r[0] = max(r[0], 1.0)  # the probe went in up to its tip: the spring is far too soft
         tried.append(Springs(k_A, k_T, response, float(np.abs(np.expm1(r)).max())))
         if tried[-1].error <= CONVERGED_ERROR:
             raise _ConvergedError
@@ -326,7 +336,7 @@ def find_springs(
 
 
 class _Flow:
-    """One pass through the flow, and its history."""
+    """One execution of the design flow, with the history of its runs."""
 
     def __init__(
         self, scene: Scene, target: FirstContactTarget, report: Callable[[FlowRun], None] | None
@@ -345,7 +355,7 @@ class _Flow:
         return find_springs(self.scene, self.target, 0.0, start, report=self._add)
 
     def damper(self, c_A: float, springs: Springs) -> _Damper:
-        """Try a damper with the springs."""
+        """Run a damper (N s/m) with the springs until the verdict."""
         outcome = run_to_verdict(springs.in_scene(self.scene, c_A))
         loads = outcome.loads
         stroke = max(loads["max_axial_stroke_in"], loads["max_axial_stroke_out"])
@@ -355,23 +365,24 @@ class _Flow:
         return _Damper(c_A, springs, outcome)
 
     def good(self, damper: _Damper) -> bool:
-        """Return True if a damper captures within the limit of force."""
+        """Return True if a damper captures within the limit of the contact force."""
         if not damper.captures:
             return False
         limit = self.target.peak_force
         return limit is None or damper.peak_force <= limit
 
     def widest(self, tried: Sequence[_Damper]) -> slice | None:
-        """Return where the longest run of good dampers is."""
+        """Return the slice with the longest sequence of good dampers; None if no damper is good."""
         labels, _ = ndimage.label([self.good(damper) for damper in tried])
         runs = [run for (run,) in ndimage.find_objects(labels)]
         return max(runs, key=lambda run: run.stop - run.start, default=None)
 
     def refined_grid(self, grid: Sequence[float], tried: Sequence[_Damper]) -> list[float]:
-        """Return dampers between the dampers tried so far, next to the promising ones.
+        """Return dampers between the tried dampers, on both sides of the promising ones (N s/m).
 
-        Every capture is promising, because the force jumps from one touch sequence to the next.
-        Without a capture, the dampers that bring the tip nearest are promising.
+        All dampers that capture are promising, because the force jumps where the sequence of
+        touches changes.  If no damper captures, the dampers with the closest approach to BE are
+        promising.
         """
         nearest = [damper.nearest for damper in tried]
         promising = [n for n, damper in enumerate(tried) if damper.outcome.captured]
@@ -383,7 +394,10 @@ class _Flow:
         return between
 
     def edge(self, inside: _Damper, outside: float) -> _Damper:
-        """Bisect to the last good damper between a good one and a bad one (N s/m)."""
+        """Return the last good damper before a bad one, found by bisection.
+
+        ``inside`` is a good damper, ``outside`` the damping of a bad damper, N s/m.
+        """
         while abs(outside - inside.c_A) > _BOUND_TOLERANCE * max(inside.c_A, outside):
             middle = 0.5 * (inside.c_A + outside)
             tried = self.damper(middle, inside.springs)
@@ -397,21 +411,21 @@ class _Flow:
 def design_first_contact(
     scene: Scene, target: FirstContactTarget, report: Callable[[FlowRun], None] | None = None
 ) -> FirstContactDesign:
-    """Find springs and damper for the strokes of the first contact, as the paper does.
+    """Find springs and damper for the strokes of the first contact by the paper's design flow.
 
     Parameters
     ----------
     scene
-        Vehicles, cone, contact and approach; its k_A, k_T and c_A do not matter.
+        Scene with vehicles, cone, contact and approach; its k_A, k_T and c_A are not used.
     target
-        Strokes, and the limit of the force.
+        Target strokes, and the limit of the contact force.
     report
-        Called with every run as it is done.
+        Function called with every run when it has finished.
 
     Returns
     -------
     FirstContactDesign
-        With a buffer, or with the reason why there is none.
+        Result with a buffer, or with the reason why there is none.
 
     Raises
     ------
@@ -426,7 +440,7 @@ def design_first_contact(
     tried = [flow.damper(c_A, springs) for c_A in grid]
     interval = flow.widest(tried)
     if interval is None:
-        # good ones may lie between those tried: look closer where they come nearest
+        # good dampers may lie between the tried ones: refine the grid around the promising dampers
         known = {damper.c_A: damper for damper in tried}
         grid = sorted({*grid, *flow.refined_grid(grid, tried)})
         tried = [known.get(c_A) or flow.damper(c_A, springs) for c_A in grid]
@@ -456,9 +470,10 @@ def design_first_contact(
 
 
 def _choose(flow: _Flow, low: _Damper, high: _Damper, between: Sequence[_Damper]) -> _Damper:
-    """Return the good damper next to the middle of the interval."""
-    # a real damper deviates by a part of itself: the middle of the logarithms.  Stiffer than
-    # critical it hardly lets the probe move, and is taken only where nothing softer captures
+    """Return the good damper that is closest to the middle of the interval."""
+    # The tolerance of a real damper is relative, so the middle is the geometric mean.  Above the
+    # critical damping the probe hardly moves: such a damper is chosen only if no weaker damper
+    # captures.
     critical = _critical_damping(flow.scene, low.springs.k_A)
     top = min(high.c_A, critical) if low.c_A < critical else high.c_A
     middle = math.sqrt(max(low.c_A, SHARES[1] * critical) * top)
@@ -491,7 +506,10 @@ def _no_springs(target: FirstContactTarget, springs: Springs) -> str:
 
 
 def _no_damper(flow: _Flow, tried: Sequence[_Damper]) -> str:
-    """Return why no damper will do: the force, too much energy left, or too little."""
+    """Return the reason why no damper meets the target.
+
+    It is the contact force, the cone's outer lip, or too much or too little remaining energy.
+    """
     target = flow.target
     top = max(damper.c_A for damper in tried)
     captures = [damper for damper in tried if damper.captures]
@@ -523,6 +541,6 @@ def _no_damper(flow: _Flow, tried: Sequence[_Damper]) -> str:
 
 
 def _verdicts(dampers: Sequence[_Damper]) -> str:
-    """Return how often each verdict was given."""
+    """Return the number of dampers with each verdict as text."""
     labels = [damper.outcome.verdict for damper in dampers]
     return ", ".join(f"{labels.count(label)} x {label}" for label in dict.fromkeys(labels))

@@ -1,11 +1,13 @@
-"""Refinement of buffers: each goal is minimised from several starts, all in step.
+"""Refinement of buffers: each goal is minimised from several starts, and all searches run in step.
 
-A goal is one of the objectives, or a sum of them, with ceilings for the others.  Loads are peaks
-over touches, so a goal has kinks, on which its minima lie, and jumps between basins.  Nelder and
-Mead's method (1965) needs neither slopes nor smoothness; several starts find the basins.  What is
-exceeded is added to the goal, times ten (an exact penalty).  All goals choose their starts from the
-same archive of candidates, so that what one finds serves the others, and each round evaluates one
-candidate of every start: that is what parallel workers share.
+A goal is a weighted sum of the objectives, with ceilings for some of them.  Loads are peaks over
+touches.  Therefore a goal has kinks, where its minima lie, and jumps between basins.  The method of
+Nelder and Mead (1965) needs neither gradients nor smoothness, and several starts find the basins.
+Ten times the largest excess of a limit or ceiling is added to the goal (an exact penalty).
+
+All goals choose their starts from the same archive of candidates, so each goal benefits from the
+candidates of the other goals.  Each round evaluates one candidate of every search, and parallel
+workers share these candidates.
 """
 
 from __future__ import annotations
@@ -22,33 +24,35 @@ from capture_sim.studies.candidates import Candidate
 from capture_sim.studies.limits import Measure
 from capture_sim.studies.variables import FreeVariable
 
-#: What an excess of 1 (a factor e above a limit) adds to a goal.
+#: Penalty that is added to a goal for an excess of 1 (a load e times its limit).
 PENALTY = 10.0
-#: Starts of a goal; shares of the ranges between them, at least; and the size of the first simplex
-#: from a start and from the best of them.
+#: Maximum number of starts of a goal, and their least distance.  Size of the first simplex from a
+#: start, and from the best point after these searches.  Lengths are in shares of the ranges.
 _STARTS, _APART, _SIZE, _SIZE_OF_BEST = 3, 0.25, 0.08, 0.03
-#: Share of the runs of a goal that each start has; the best has the rest.
+#: Share of the runs of a goal for the search from each start; the search from the best point has
+#: the rest.
 _OF_START = 0.2
-#: A simplex this small (shares of the ranges) has converged, and a new one is begun around it.
+#: Size of a simplex, in shares of the ranges, at which it has converged; factor on the size of the
+#: new simplex that is then started around its best point.
 _SMALL, _NEXT = 1e-6, 0.3
 
 
 @dataclass(frozen=True)
 class Goal:
-    """The objective of a row's refinement: a weighted sum of costs, the others below ceilings."""
+    """Goal of a row of the front: a weighted sum of costs to minimise, and ceilings of costs."""
 
     weights: tuple[float, ...]  # of each objective's cost, see Measure.cost
-    ceilings: tuple[float, ...]  # of each objective's cost; infinite without
+    ceilings: tuple[float, ...]  # of each objective's cost; infinite for no ceiling
 
     def values(self, costs: np.ndarray, violations: np.ndarray) -> np.ndarray:
-        """Return the objective's values from costs (n, objectives) and violations (n,)."""
+        """Return the values to minimise, (n,), from costs (n, objectives) and violations (n,)."""
         above = np.max(costs - np.array(self.ceilings), axis=1)
         excess = np.maximum(np.maximum(above, violations), 0.0)
         return np.asarray(costs @ np.array(self.weights) + PENALTY * excess)
 
 
 class CandidatePoints:
-    """Candidates with their places in the ranges, and their costs; a goal's archive."""
+    """Archive of candidates with their costs and their positions in the ranges."""
 
     def __init__(self, variables: Sequence[FreeVariable], objectives: Sequence[Measure]) -> None:
         self.variables, self.objectives = tuple(variables), tuple(objectives)
@@ -58,39 +62,39 @@ class CandidatePoints:
         self._violations: list[float] = []
 
     def add(self, candidates: Sequence[Candidate]) -> None:
-        """Add candidates."""
+        """Add candidates to the archive."""
         self.candidates += candidates
         self._shares += [self.shares_of(each) for each in candidates]
         self._costs += [each.costs(self.objectives) for each in candidates]
         self._violations += [each.violation for each in candidates]
 
     def shares_of(self, candidate: Candidate) -> list[float]:
-        """Return the places of a candidate's values in their ranges, 0 to 1."""
+        """Return the positions of a candidate's values in their ranges, 0 to 1."""
         return [each.share(candidate.values[each.name]) for each in self.variables]
 
     def values_of(self, shares: Sequence[float]) -> dict[str, float]:
-        """Return the values at places in their ranges."""
+        """Return the values by name at positions in their ranges, 0 to 1."""
         return {
             each.name: each.value(share) for each, share in zip(self.variables, shares, strict=True)
         }
 
     @property
     def shares(self) -> np.ndarray:
-        """(n, values)."""
+        """Positions of the candidates in the ranges, (n, values), 0 to 1."""
         return np.array(self._shares).reshape(-1, len(self.variables))
 
     @property
     def costs(self) -> np.ndarray:
-        """(n, objectives)."""
+        """Costs of the candidates, (n, objectives)."""
         return np.array(self._costs).reshape(-1, len(self.objectives))
 
     @property
     def violations(self) -> np.ndarray:
-        """(n,)."""
+        """Violations of the candidates, (n,)."""
         return np.array(self._violations)
 
     def goal_values(self, goal: Goal) -> np.ndarray:
-        """Return the value of a goal for each candidate."""
+        """Return the value of a goal for each candidate, (n,)."""
         return goal.values(self.costs, self.violations)
 
     def best_values(self, goals: Sequence[Goal]) -> np.ndarray:
@@ -98,7 +102,10 @@ class CandidatePoints:
         return np.array([self.goal_values(goal).min() for goal in goals])
 
     def best(self, goal: Goal, count: int, *, feasible: bool = False) -> list[Candidate]:
-        """Return the best candidates of a goal, each value once; with ``feasible`` only such."""
+        """Return at most ``count`` best candidates of a goal, one for each value of the goal.
+
+        With ``feasible``, only feasible candidates are returned.
+        """
         values = self.goal_values(goal)
         order = np.argsort(values, kind="stable")
         if feasible:
@@ -114,7 +121,8 @@ class CandidatePoints:
         return found
 
 
-#: Evaluates candidates by their values; fewer than asked, or none, where the budget has ended.
+#: Function that evaluates candidates by their values.  It returns fewer candidates than requested,
+#: or none, when the budget has ended.
 Evaluate = Callable[[Sequence[Mapping[str, float]]], list[Candidate]]
 
 
@@ -125,10 +133,10 @@ def refine(
     runs: int,
     rng: np.random.Generator | None = None,
 ) -> bool:
-    """Minimise each goal with so many runs, from the best points; return False if they ended.
+    """Minimise each goal from its best points; return False if the budget ended.
 
-    New candidates are added to the points.  ``rng`` turns the first simplices; None: along the
-    axes.
+    ``runs`` is the number of runs for each goal.  New candidates are added to ``points``.  ``rng``
+    gives the first simplices a random orientation; with None, they are along the axes.
     """
     firsts = []
     each = max(int(_OF_START * runs), 1)
@@ -157,7 +165,10 @@ def refine_from(
     size: float,
     rng: np.random.Generator | None = None,
 ) -> bool:
-    """Minimise a goal from one candidate; return False if the budget ended."""
+    """Minimise a goal from one candidate; return False if the budget ended.
+
+    ``size`` is the size of the first simplex in shares of the ranges; see :func:`refine`.
+    """
     search = _search(points, np.array(points.shares_of(start)), size, runs, rng)
     return _in_step([(goal, search)], points, evaluate)
 
@@ -168,7 +179,7 @@ Search = Generator[np.ndarray, float, None]
 def _in_step(
     searches: Sequence[tuple[Goal, Search]], points: CandidatePoints, evaluate: Evaluate
 ) -> bool:
-    """Advance searches together until each has used its runs; False if the budget ended."""
+    """Advance all searches in step until each has ended; return False if the budget ended."""
     active = []
     for goal, search in searches:
         with contextlib.suppress(StopIteration):
@@ -190,7 +201,7 @@ def _in_step(
 
 
 def _starts(points: CandidatePoints, shares: np.ndarray, goal: Goal) -> list[int]:
-    """Return the best points of a goal that are apart from each other."""
+    """Return the indices of the best points of a goal with a least distance between each other."""
     chosen: list[int] = []
     for k in np.argsort(points.goal_values(goal), kind="stable").tolist():
         if all(np.linalg.norm(shares[k] - shares[other]) > _APART for other in chosen):
@@ -201,7 +212,7 @@ def _starts(points: CandidatePoints, shares: np.ndarray, goal: Goal) -> list[int
 
 
 def _neighbours(points: CandidatePoints, shares: np.ndarray, goal: Goal) -> list[np.ndarray]:
-    """Return the best point with the items next to its own of each catalogue."""
+    """Return the points next to the best point: one step up or down in one catalogue."""
     best = shares[int(np.argmin(points.goal_values(goal)))]
     found = []
     for k, variable in enumerate(points.variables):
@@ -214,7 +225,7 @@ def _neighbours(points: CandidatePoints, shares: np.ndarray, goal: Goal) -> list
 
 
 def single(x: np.ndarray) -> Search:
-    """Try one point."""
+    """Search that requests one point only."""
     yield x
 
 
@@ -225,7 +236,10 @@ def _search(
     runs: int,
     rng: np.random.Generator | None,
 ) -> Search:
-    """Search from a start over the values that have a range; catalogues keep the start's item."""
+    """Search from a start over the values that have a range.
+
+    Values from a catalogue keep the item of the start.
+    """
     free = [k for k, each in enumerate(points.variables) if not each.choices]
     if not free:
         yield from single(start)
@@ -245,10 +259,10 @@ def _search(
 def nelder_mead(
     start: np.ndarray, size: float, runs: int, rng: np.random.Generator | None = None
 ) -> Search:
-    """Ask for points in the unit cube, and receive their values, by Nelder and Mead's method.
+    """Minimise a function in the unit cube by the method of Nelder and Mead, as a generator.
 
-    Points are clipped to the cube.  A simplex that has become small is restarted around its
-    best point, smaller than before.
+    The generator yields points and receives their values.  Points are clipped to the cube.  A
+    simplex that has converged is restarted around its best point, with a smaller size than before.
     """
     n, left = start.size, runs
     best = np.clip(start, 0.0, 1.0)
@@ -309,7 +323,10 @@ def nelder_mead(
 
 
 def _simplex(best: np.ndarray, size: float, n: int, rng: np.random.Generator | None) -> np.ndarray:
-    """Return the corners of a simplex: a point, and one in each direction, inwards."""
+    """Return the corners of a simplex: a point, and one further point in each direction.
+
+    ``size`` is the edge length.  Of both signs of a direction, the longer step in the cube is used.
+    """
     directions = np.eye(n)
     if rng is not None:
         directions = np.linalg.qr(rng.normal(size=(n, n)))[0]

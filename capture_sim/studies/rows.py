@@ -1,7 +1,8 @@
-"""The rows of a front, and what each should be known for.
+"""The rows of a front, with the details that a user should know of each row.
 
-How sharp a row is, until when the tip stays captured, and where it is then; which values are at an
-end of their range, and which loads without a limit have grown.
+The details are the sensitivity of a row to its values (sharpness), how long the tip stays captured,
+and its position then.  They also list the values at an end of their range, and the loads without a
+limit that have grown.
 """
 
 from __future__ import annotations
@@ -22,16 +23,17 @@ from capture_sim.studies.outcome import CAPTURED, run_to_end
 from capture_sim.studies.refinement import Goal
 from capture_sim.studies.variables import FreeVariable, with_values
 
-#: A load that is neither limited nor minimised is named from this multiple of the own buffer's on.
+#: A load that is neither limited nor an objective is reported if it is at least this multiple of
+#: the load with the scene's own buffer.
 GROWN = 3.0
-#: The loads that are watched for that.
+#: The loads that are compared with the loads of the scene's own buffer.
 WATCHED = (
     *("max_axial_stroke_in", "max_axial_stroke_out", "max_torsion", "max_buffer_force"),
     *("max_buffer_torque", "max_normal_force"),
 )
-#: By which share each value of a row is changed, to see how sharp the row is.
+#: Relative change of each value of a row for its sharpness.
 SHARP = 0.01
-#: Without a latch, rows are also run to these multiples of t_end.
+#: Scenes without a latch are also run to these multiples of t_end.
 LONGER, LONGEST = 3.0, 10.0
 
 CONVERGED, ENDED = "converged", "budget ended"
@@ -39,28 +41,28 @@ CONVERGED, ENDED = "converged", "budget ended"
 
 @dataclass(frozen=True)
 class Sharpness:
-    """How sharp a row is: the worst of its runs with one value 1 % larger or smaller."""
+    """Sensitivity of a row: the worst results of runs with one value 1 % larger or smaller."""
 
-    change: float  # of the worst objective, relative
-    excess: float  # of the worst limit, relative; 0 if all are kept
-    not_held: bool  # a run does not capture, or the tip leaves again
+    change: float  # largest relative increase of an objective
+    excess: float  # largest relative excess of a limit; 0 if all limits are kept
+    not_held: bool  # True if a run does not capture, or if the tip leaves again
 
 
 @dataclass(frozen=True)
 class DesignRow:
     """A buffer of the front."""
 
-    candidate: Candidate  # at the tolerance of the scene; with draws: quantiles in new draws
+    candidate: Candidate  # at the scene's tolerance; with draws: quantiles in new draws
     goal: Goal
     is_knee: bool = False
     convergence: str = ENDED
-    check: Probability | None = None  # of success with new draws
+    check: Probability | None = None  # probability of success in new draws
     at_ends: tuple[str, ...] = ()  # values at an end of their range, in words
-    stays: float | None = None  # s: the last of t_end, 3 and 10 t_end with the tip at BE
+    stays: float | None = None  # last of t_end, 3 and 10 t_end with tip at BE, s; None with latch
     sharpness: Sharpness | None = None
-    grown: tuple[tuple[Measure, float], ...] = ()  # loads without a limit, over the own buffer's
-    behind: float = 0.0  # m, of the tip's centre behind BE; 0 within the capture radius
-    behind_at: float = 0.0  # s: the first of these times at which it is behind
+    grown: tuple[tuple[Measure, float], ...] = ()  # loads without a limit, ratio to own buffer
+    behind: float = 0.0  # distance of the tip's centre behind BE, m; 0 within the capture radius
+    behind_at: float = 0.0  # first of these times at which the tip is behind BE, s
 
 
 def detailed(
@@ -71,9 +73,10 @@ def detailed(
     variables: Sequence[FreeVariable],
     evaluators: Mapping[float, Evaluator],
 ) -> list[DesignRow]:
-    """Return rows with what they should be known for: ends, sharpness, staying, other loads.
+    """Return the rows with their details: range ends, sharpness, time at BE, grown loads.
 
-    ``evaluators`` are those of the scene with t_end times a factor, by the factor; 1 is one.
+    ``own`` is the scene's own buffer.  ``evaluators`` has, by factor, the evaluator of the scene
+    with t_end multiplied by this factor; the factor 1 must be included.
     """
     if not rows:
         return []
@@ -100,22 +103,25 @@ def detailed(
 
 
 def lasting(scene: Scene, t_end: float) -> Scene:
-    """Return a scene that runs to a time, s."""
+    """Return the scene with ``t_end`` (s) as the end of its run."""
     return dataclasses.replace(scene, run=dataclasses.replace(scene.run, t_end=t_end))
 
 
 class _Place(NamedTuple):
-    """Until when a tip stays, s, and how far behind BE it is at the first time that it is, m."""
+    """How long a tip stays at BE, and how far behind BE it is when it is first found there."""
 
-    until: float = 0.0
-    behind: float = 0.0
-    behind_at: float = 0.0
+    until: float = 0.0  # s
+    behind: float = 0.0  # m
+    behind_at: float = 0.0  # s
 
 
 def _places(
     scene: Scene, values: Sequence[Mapping[str, float]], evaluators: Mapping[float, Evaluator]
 ) -> list[_Place]:
-    """Return where the tips are at t_end and, without a latch, at 3 and 10 t_end."""
+    """Return the positions of the tips at t_end and, without a latch, at 3 and 10 t_end.
+
+    ``values`` are the free values of each row.
+    """
     places = [_Place()] * len(values)
     staying = set(range(len(values)))
     for factor, evaluator in evaluators.items():
@@ -140,7 +146,10 @@ def _places(
 def _grown(
     requirements: Requirements, found: Candidate, own: Candidate
 ) -> tuple[tuple[Measure, float], ...]:
-    """Return the unlimited loads that are far above those of the user's own buffer."""
+    """Return the loads without a limit that are at least GROWN times those of the own buffer.
+
+    Each load has its ratio to the load of the own buffer.
+    """
     known = {each.key for each in (*requirements.objectives, *requirements.limits)}
     grown = []
     for key in WATCHED:
@@ -155,7 +164,10 @@ def _grown(
 def _sharpness(
     row: DesignRow, requirements: Requirements, variables: Sequence[FreeVariable], exact: Evaluator
 ) -> Sharpness | None:
-    """Return the worst of the runs with one value 1 % larger or smaller; None with draws."""
+    """Return the worst results of runs with one value 1 % larger or smaller.
+
+    None if the row was checked with draws, or if there is an area of approach.
+    """
     if row.check is not None or requirements.area:
         return None
     values = row.candidate.values

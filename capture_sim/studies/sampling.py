@@ -1,8 +1,8 @@
-"""Which runs a sweep makes: a full grid of values, and draws from distributions at each point.
+"""Samples of a sweep: a full grid of values, and draws from distributions at each grid point.
 
-The draws of a distribution depend on its name and the seed.  With random and latin they do not
-depend on the other distributions, so that studies share them; those of Sobol's sequence are
-assigned in the order of the names.
+The draws of a distribution depend on its name and the seed.  With ``random`` and ``latin``, they do
+not depend on the other distributions, so that different studies have the same draws.  The
+dimensions of Sobol's sequence are assigned in the order of the names.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from capture_sim.studies.axes import Axis
 
 SAMPLES = ("random", "latin", "sobol", "saltelli")
 PLAIN, EDGES = "plain", "edges"
-#: More runs than this are a mistyped number.
+#: Maximum number of runs; a larger number is probably a typing error.
 MAX_RUNS = 10_000_000
-#: A quarter of the edge-weighted draws of an axis lie in the lowest 2 % of its distribution, and
-#: a quarter in the highest; none lies further out than the cut.
+#: Shape of the beta distribution of the draws near the edges, and the least distance from 0 and 1.
+#: A quarter of these draws lie in the lowest 2 % of the distribution, a quarter in the highest 2 %.
 _EDGE_SHAPE, _EDGE_CUT = 0.2, 0.005
 
 
@@ -35,13 +35,13 @@ class Samples:
 
     axes: tuple[Axis, ...]
     rows: list[tuple[Any, ...]]  # values of each run, in the order of the axes, SI units
-    designs: list[str]  # of each run: plain, or edges for a draw that favours the edges
-    # of the user's table: columns that are no fields; why rows cannot be run, by number
+    designs: list[str]  # of each run: plain, or edges for an additional draw near the edges
+    # from the user's table: columns that are not fields, and reasons why rows cannot run, by number
     notes: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     failures: Mapping[int, str] = field(default_factory=dict)
 
 
-#: Correlations of pairs of distributions, by their names.
+#: Correlations by pairs of names of distributions.
 Correlations = Mapping[tuple[str, str], float]
 
 
@@ -53,10 +53,10 @@ def make_samples(
     edges: int = 0,
     correlations: Correlations | None = None,
 ) -> Samples:
-    """Return the runs over some axes: all combinations of values, the same draws at each of them.
+    """Return the runs over some axes: all combinations of the values, each with the same draws.
 
-    See :func:`capture_sim.sweep` for the parameters; a base sample of ``saltelli`` is
-    (distributions + 2) draws.  Raises SceneError for a number that is out of its range.
+    See :func:`capture_sim.sweep` for the parameters.  A base sample of ``saltelli`` has
+    (number of distributions + 2) draws.  Raises SceneError if a number is out of its range.
     """
     grid, drawn = ([a for a in axes if not a.distribution], [a for a in axes if a.distribution])
     drawn.sort(key=lambda axis: axis.name)
@@ -77,7 +77,7 @@ def make_samples(
         columns = [axis.quantile(u).tolist() for axis, u in zip(drawn, shares.T, strict=True)]
         draws = list(zip(*columns, strict=True))
         designs = [PLAIN] * len(plain) + [EDGES] * len(edge)
-    # as the user named them
+    # restore the order of the axes
     order = [axis.name for axis in (*grid, *drawn)]
     pick = [order.index(axis.name) for axis in axes]
     rows = [(*point, *draw) for point in points for draw in draws]
@@ -95,7 +95,10 @@ class _Copula:
 
     @classmethod
     def of(cls, names: Sequence[str], correlations: Correlations, sample: str) -> _Copula:
-        """Return the copula of distributions; SceneError if no distribution has it."""
+        """Return the copula; SceneError if a correlation is invalid or they contradict each other.
+
+        ``names`` are the names of all distributions, ``sample`` is the sampling method.
+        """
         if correlations and sample == "saltelli":
             raise SceneError("correlate: must be omitted with saltelli, whose inputs are apart")
         for pair, value in correlations.items():
@@ -121,12 +124,12 @@ class _Copula:
             ) from None
 
     def correlated(self, shares: np.ndarray) -> np.ndarray:
-        """Return shares (n, axes) of the distributions with their correlations."""
+        """Return probabilities (n, axes) of the distributions after adding the correlations."""
         if not self.columns:
             return shares
         from scipy.special import ndtr, ndtri
 
-        tiny = np.finfo(float).eps / 2.0  # 0 and 1 are infinitely far away
+        tiny = np.finfo(float).eps / 2.0  # the scores of 0 and 1 are infinite
         scores = ndtri(np.clip(shares[:, self.columns], tiny, 1.0 - tiny))
         correlated = shares.copy()
         correlated[:, self.columns] = ndtr(scores @ self.factor.T)
@@ -156,7 +159,7 @@ def _generator(seed: int, name: str, *stream: int) -> np.random.Generator:
 
 
 def _draw(names: Sequence[str], runs: int, sample: str, seed: int) -> np.ndarray:
-    """Return shares (n, axes) of the distributions, from 0 to 1."""
+    """Return the draws as probabilities (n, axes) of the distributions, from 0 to 1."""
     if sample == "saltelli":
         from SALib.sample import sobol
 
@@ -176,15 +179,18 @@ def _draw(names: Sequence[str], runs: int, sample: str, seed: int) -> np.ndarray
 
 
 def problem_of(axes: int) -> dict[str, Any]:
-    """Return SALib's description of ``axes`` independent inputs from 0 to 1."""
+    """Return SALib's problem description for independent inputs from 0 to 1.
+
+    ``axes`` is the number of inputs.
+    """
     return {
         "num_vars": axes,
-        "names": np.array([str(k) for k in range(axes)]),  # pandas 3 refuses a list of SALib 1.5
+        "names": np.array([str(k) for k in range(axes)]),  # pandas 3 rejects a list from SALib 1.5
         "bounds": [[0.0, 1.0]] * axes,
     }
 
 
 def _draw_edges(names: Sequence[str], count: int, seed: int) -> np.ndarray:
-    # another stream than that of the plain draws
+    # stream 1, which is independent of the plain draws
     columns = [_generator(seed, name, 1).beta(_EDGE_SHAPE, _EDGE_SHAPE, count) for name in names]
     return np.clip(np.stack(columns, axis=1), _EDGE_CUT, 1.0 - _EDGE_CUT)

@@ -1,5 +1,6 @@
-"""The search for the rows of a front: coverage, refinement, a second seed; then with draws.
+"""The search for the rows of a front: coverage, refinement, and a comparison with a second seed.
 
+With dispersions, a search without draws precedes the search with draws.
 :mod:`capture_sim.studies.design` describes the steps.
 """
 
@@ -26,28 +27,32 @@ from capture_sim.studies.rows import CONVERGED, ENDED, LONGER, LONGEST, DesignRo
 from capture_sim.studies.sweep import RTOL
 from capture_sim.studies.variables import FreeVariable, fields_of, own_value, with_values
 
-#: Rows of a front unless the budget is small, and the candidates that a row needs.
+#: Maximum and minimum number of rows of a front, and the number of candidates that a row needs.
 _ROWS, _FEWEST_ROWS, _RUNS_OF_ROW = 7, 3, 800
-#: Most candidates of the coverage and its share of the budget; a second seed has half of them.
+#: Maximum number of candidates of the coverage, and its maximum share of the budget.  The coverage
+#: with the second seed has half as many candidates.
 _COVERAGE, _COVERAGE_SHARE = 800, 0.25
-#: Candidates of a pass over a row; a pass of fewer is not followed by a second seed.
+#: Maximum number of candidates of a pass over one of several rows (a single row has twice as many),
+#: and the least number for which a second seed follows.
 _PASS, _SHORT_PASS = 200, 100
-#: Passes over all rows, at most; passes from the points of both seeds.
+#: Maximum number of passes over all rows, and of later passes from the points of both seeds.
 _PASSES, _MORE_PASSES = 3, 4
-#: Share of the budget without dispersions, where there are some; of the costs of limits.
+#: With dispersions, the share of the budget for the search without draws; the share of the budget
+#: for the costs of limits.
 _ALONE, RESERVE = 0.3, 0.12
-#: Under dispersions: rounds, each with twice the draws.
+#: Maximum number of rounds with dispersions; each has twice as many draws as the previous round.
 _ROUNDS = 3
-#: By which share the search's limits are smaller.
+#: Relative amount by which the limits of the search are smaller than the given limits.
 _TIGHTER = 1e-5
-#: A row has converged if its last pass gains less, and a second seed is no further away.
+#: A row has converged if its last pass gains at most GAINED, and if the goal's values of both seeds
+#: differ by at most AGREES.
 GAINED, AGREES = 1e-3, 5e-3
-#: Weight of the held objectives of a row, so that of equal buffers the better is found; at an end
-#: of the front that of the other objectives.
+#: Weight of the objectives that a row does not minimise: it selects the better of otherwise equal
+#: buffers.  At an end of the front, the second weight is used.
 _WEIGHT, _WEIGHT_AT_END = 1e-3, 0.02
-#: Most wider ranges of a value.
+#: Maximum number of times that a range is widened.
 _WIDENINGS = 3
-#: Candidates that are run at the scene's tolerance for a row, at most.
+#: Maximum number of candidates of a row that are run at the scene's tolerance.
 _CONFIRMED = 6
 
 
@@ -61,18 +66,18 @@ class Window:
 
 
 def search_scene(scene: Scene) -> Scene:
-    """Return the scene at the tolerance of a search."""
+    """Return the scene with the relative tolerance of sweeps, or its own if that is larger."""
     run = dataclasses.replace(scene.run, rtol=max(scene.run.rtol, RTOL))
     return dataclasses.replace(scene, run=run)
 
 
 def search_requirements(requirements: Requirements) -> Requirements:
-    """Return the requirements that a search keeps: their limits a little smaller."""
+    """Return the requirements of the search, with limits that are smaller by a share of 1e-5."""
     return requirements.tightened(_TIGHTER)
 
 
 class DesignSearch:
-    """The search for one design, and its history."""
+    """The search of one design, with the history of its candidates."""
 
     def __init__(
         self,
@@ -110,11 +115,11 @@ class DesignSearch:
         }
         self._exact = self._longer[1.0]
         self._own = {each.name: own_value(scene, each.name) for each in variables}
-        self._left = 0  # candidates of the stage
+        self._left = 0  # candidates that the present stage may still run
         self.points = CandidatePoints(variables, self._objectives)
         self._goals: list[Goal] = []
         self._words: list[str] = []
-        #: The rows of the last round under dispersions, with their check.
+        #: Candidates of the last round with dispersions, each with its check in new draws.
         self.checked: list[tuple[Candidate, Probability]] = []
 
     @property
@@ -123,30 +128,36 @@ class DesignSearch:
         return self._coarse.history
 
     def own(self, *, with_draws: bool) -> Candidate:
-        """Return the scene's own buffer as a candidate."""
+        """Return the scene's own buffer as a candidate; ``with_draws`` evaluates it with draws."""
         found = self._exact.alone([self._own])
         if self._requirements.under is not None and with_draws:
             found = [each for each, _ in self._coarse.check(found, 1)]
         return found[0]
 
     def alone(self, budget: int) -> str:
-        """Search without dispersions; return why the search ended before a front; else nothing."""
+        """Search without dispersions.
+
+        Return the reason if an objective does not depend on the buffer; else an empty text.
+        """
         is_first_of_two = self._requirements.under is not None
         self._left = int(budget * (_ALONE if is_first_of_two else 1.0 - RESERVE))
         begin = self._earlier()
         if all(each.has(self._own[each.name]) for each in self.variables):
-            # so that the front is no worse than the scene's own buffer
+            # with the scene's own buffer as a start, the front is no worse than this buffer
             begin = [self._own, *begin]
         return self._stage(self._coarse.alone, begin, brief=is_first_of_two)
 
     def with_draws(self, budget: int) -> list[DesignRow]:
-        """Return buffers under dispersions that pass the check with new draws."""
+        """Search with dispersions and return the front of the buffers that pass the check.
+
+        The check uses new draws.  Empty if no buffer passes.
+        """
         alone = self.points
         start = [alone.candidates[k].values for k in _promising(alone, self._requirements)]
         rest = budget - len(self.history)
         for number in range(_ROUNDS):
             draws = self._coarse.draws(self._requirements.draws * 2**number, 2 * number)
-            # the first round has two thirds, the next two thirds of the rest
+            # a round has two thirds of the remaining budget, the last round all of it
             self._left = int(rest * (2 / 3 if number < _ROUNDS - 1 else 1.0))
             rest -= self._left
             if self._left < 1:
@@ -163,13 +174,16 @@ class DesignSearch:
                 ]
                 if rows:
                     return self._front(rows)
-            # the draws were too kind, or too few: more of them, beginning with the best
+            # no buffer passed: search again with more draws, starting from the best candidates
             order = np.argsort(self.points.violations, kind="stable")[:20].tolist()
             start = [self.points.candidates[k].values for k in order]
         return []
 
     def confirmed(self, *, interrupted: bool) -> list[DesignRow]:
-        """Return the best buffer of each goal at the tolerance of the scene."""
+        """Return the front of the best buffer of each goal, run at the tolerance of the scene.
+
+        If the best candidate is infeasible at this tolerance, the next best ones are run.
+        """
         if interrupted:
             self._goals = self._make_goals(_FEWEST_ROWS if len(self._objectives) > 1 else 1)
             self._words = ["interrupted"] * len(self._goals)
@@ -195,7 +209,11 @@ class DesignSearch:
         *,
         brief: bool = False,
     ) -> str:
-        """Cover the ranges and refine the rows; return why there is nothing to search, if so."""
+        """Cover the ranges and refine the rows.
+
+        Return the reason if an objective does not depend on the buffer; else an empty text.
+        ``begin`` are values of buffers to start from.  ``brief`` omits the second seed.
+        """
 
         def within_budget(values: Sequence[Mapping[str, float]]) -> list[Candidate]:
             asked = values[: max(self._left, 0)]
@@ -220,7 +238,7 @@ class DesignSearch:
         per_pass = max(min(per_pass, _PASS if count > 1 else 2 * _PASS), 4)
         is_whole_front = count > 1 and self._window is None
         if is_whole_front or not points.violations.size or points.violations.min() > 0.0:
-            # the ends first: the other rows lie between
+            # the ends come first, because the other rows lie between them
             refine(self._ends(), points, within_budget, per_pass)
         self._goals = self._make_goals(count)
         self._words = [ENDED] * len(self._goals)
@@ -237,7 +255,7 @@ class DesignSearch:
         per_pass: int,
         of_second: int,
     ) -> np.ndarray | None:
-        """Refine all rows; return the gain of each in its last pass, None if the budget ended."""
+        """Refine all rows; return each row's gain in the last pass, None if the budget ended."""
         kept = of_second + 2 * len(self._goals) * per_pass if of_second else 0
         gains, values = None, self.points.best_values(self._goals)
         for number in range(_PASSES):
@@ -261,12 +279,13 @@ class DesignSearch:
         of_second: int,
         gains: np.ndarray,
     ) -> None:
-        """Search with a second seed, keep what is better, and say how far both agree.
+        """Search with a second seed, keep the better buffers, and record how far both agree.
 
-        Where they disagree, the worse is refined once more on its own, without the other's points:
-        a gap that is left is one between basins, or the budget's.  What is then left of the budget
-        refines these rows first, then those that still gain, then the others, from the points of
-        both: two seeds may have stopped at the same kink.
+        Where the searches disagree, the worse search is refined once more without the points of
+        the other.  A difference that remains is due to separate basins or to a small budget.  The
+        rest of the budget refines rows from the points of both searches, because both may have
+        stopped at the same kink.  Rows that disagree come first, then rows that still gain, then
+        all other rows.
         """
         goals, rng = self._goals, np.random.default_rng([self._seed, 99])
         other = CandidatePoints(self.variables, self._objectives)
@@ -284,7 +303,7 @@ class DesignSearch:
         gains = np.where(now < first, second - now, gains)
         apart = np.abs(first - now)
         self.points.add(other.candidates)
-        is_tried = np.zeros(len(goals), dtype=bool)  # by a pass from the points of both
+        is_tried = np.zeros(len(goals), dtype=bool)  # refined from the points of both searches
         for _ in range(_MORE_PASSES):
             before = self.points.best_values(goals)
             doubt = np.maximum(np.where(apart > AGREES, apart, 0.0), gains)
@@ -302,13 +321,19 @@ class DesignSearch:
             self._words.append(CONVERGED if agrees else words)
 
     def _rows_of_budget(self, doubts: np.ndarray, allowed: float, per_pass: int) -> list[int]:
-        """Return the rows with the largest doubts above the permitted one, within the budget."""
+        """Return the indices of the rows with the largest doubts, as many as the budget permits.
+
+        Only doubts above ``allowed`` count.  ``per_pass`` is the number of candidates for each row.
+        """
         room = int(self._left / (0.95 * per_pass))
         asked = [k for k in np.argsort(-doubts, kind="stable").tolist() if doubts[k] > allowed]
         return sorted(asked[:room])
 
     def _widen(self) -> bool:
-        """Widen each range whose end is an optimum without an active limit; True if any was."""
+        """Widen the ranges that have an optimum at an end; return True if any was widened.
+
+        Optima with an active limit, and the ends of a front, do not count.
+        """
         limits = self._requirements.limits
         wider = list(self.variables)
         ends = self._ends() if len(self._objectives) > 1 else []
@@ -330,7 +355,7 @@ class DesignSearch:
         return True
 
     def _ends(self) -> list[Goal]:
-        """Return the goals of the ends of the front."""
+        """Return the goals of the ends of the front, one for each objective."""
         count = len(self._objectives)
         none = (math.inf,) * count
         return [
@@ -339,7 +364,11 @@ class DesignSearch:
         ]
 
     def _make_goals(self, count: int) -> list[Goal]:
-        """Return the goals of so many rows, in the order of the held objective."""
+        """Return the goals of the rows.
+
+        With two objectives there are ``count`` goals, in the order of the spaced objective.
+        Without a feasible candidate, the goals are the ends of the front.
+        """
         feasible = np.flatnonzero(self.points.violations <= 0.0)
         costs = self.points.costs[feasible]
         if len(self._objectives) == 1:
@@ -397,7 +426,10 @@ class DesignSearch:
         return low, high
 
     def _front(self, rows: Sequence[DesignRow]) -> list[DesignRow]:
-        """Return the rows of which no other is better in all objectives, in order."""
+        """Return the non-dominated rows in the order of the objectives.
+
+        With a window, rows above the window are left out.  Empty if no row is in the window.
+        """
         if not rows:
             return []
         costs = costs_of([row.candidate for row in rows], self._objectives)
@@ -411,7 +443,11 @@ class DesignSearch:
         return [rows[k] for k in sorted(chosen, key=lambda k: tuple(costs[k]))]
 
     def _earlier(self) -> list[dict[str, float]]:
-        """Return an earlier design's buffers that are best here, spread over their trade-offs."""
+        """Return the buffers of an earlier design that are in the present ranges, the best first.
+
+        They are evaluated under the present requirements.  The feasible non-dominated buffers come
+        first, then the others by their violation.
+        """
         names = [each.name for each in self.variables]
         found = []
         for known, values in self.archive.earlier:
@@ -432,12 +468,12 @@ class DesignSearch:
         return [dict(points.candidates[k].values) for k in order[:_COVERAGE].tolist()]
 
     def detailed(self, rows: Sequence[DesignRow], own: Candidate) -> list[DesignRow]:
-        """Return rows with what they should be known for."""
+        """Return the rows with their details; see :func:`capture_sim.studies.rows.detailed`."""
         of_scene = self._scene, self._requirements, self.variables
         return detailed(rows, own, *of_scene, self._longer)
 
     def refusal(self, rows: Sequence[DesignRow]) -> str:
-        """Return why there is no buffer; empty if there is one."""
+        """Return the reason why there is no buffer; empty if there are rows."""
         if rows:
             return ""
         searched = ", ".join(
@@ -509,12 +545,15 @@ def _within(value: float, low: float, high: float, room: float) -> bool:
 
 
 def _rounded_up(share: float) -> str:
-    """Return a share in per cent with one digit, rounded up."""
+    """Return a share as text in per cent, rounded up to one decimal place."""
     return f"{math.ceil(share * 1000.0) / 10.0:.1f} %"
 
 
 def _promising(points: CandidatePoints, requirements: Requirements) -> list[int]:
-    """Return the start points under dispersions: the best ones, and ones with a large margin."""
+    """Return the indices of the points from which the search with dispersions starts.
+
+    They are points of the front, and the feasible points with the largest margins to the limits.
+    """
     feasible = np.flatnonzero(points.violations <= 0.0)
     if not feasible.size:
         return []

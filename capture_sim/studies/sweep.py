@@ -1,7 +1,8 @@
-"""Many runs of a scene with different values: a table with one row for each run.
+"""Sweeps: many runs of a scene with different values, in a table with one row for each run.
 
-A row contains the inputs, the verdict, the loads of the whole run and the reason if a run failed.
-It depends on the inputs alone, so the table does not depend on where the runs are computed.
+A row contains the inputs, the verdict, the loads of the complete run and, if the run failed, the
+reason.  A row depends only on its inputs, so the table does not depend on where the runs are
+computed.
 """
 
 from __future__ import annotations
@@ -39,16 +40,16 @@ from capture_sim.studies.sampling import PLAIN, Correlations, Samples, make_samp
 if TYPE_CHECKING:
     import pandas
 
-#: Verdict of a run that could not be computed; ``failure`` gives the reason.
+#: Verdict of a run that could not be computed; the column ``failure`` gives the reason.
 FAILED = "failed"
-#: Runs that a worker does in one go.
+#: Number of runs in one task of a worker.
 _CHUNK = 20
-#: Longest time for which a worker keeps finished rows to itself, s, where a journal wants them.
+#: With a journal, the intended maximum duration of one task of a worker, s.
 _MOMENT = 2.0
 #: Relative tolerance of the runs of a sweep; see docs/evidence/random_scenes.md.
 RTOL = 1e-6
 
-#: Results of a run that are no loads, and their units.
+#: Results of a run other than its loads, and their units.
 _OUTCOME = {
     "verdict": "",
     "verdict_time": "s",
@@ -56,19 +57,19 @@ _OUTCOME = {
     "first_touch_time": "s",
     "energy_residual": "J",
 }
-#: What else a table may have beside inputs, outcome and loads.
+#: Columns that a table may have in addition to inputs, outcome and loads, and their units.
 _NOTES = {
     "design": "",
     "verdict_at_half_tolerance": "",
     "exceeded": "",  # names of the loads that exceed their limits, separated by blanks
     "failure": "",
-    "command": "",  # repeats the run; only in files
+    "command": "",  # command that repeats the run; only in files
 }
 
 
 @functools.cache
 def result_units() -> dict[str, str]:
-    """Return the columns of a table that are no inputs, and their units."""
+    """Return the columns of a table other than the inputs, and their units."""
     of_load = {load.key: load.unit for load in LOADS}
     of_load |= {"touches": "", "first_contact_impulse": "N s"}
     units = dict(_OUTCOME)
@@ -80,7 +81,10 @@ def result_units() -> dict[str, str]:
 
 @functools.cache
 def result_columns(*, check: bool, limited: bool) -> tuple[str, ...]:
-    """Return the names of the results of a run."""
+    """Return the names of the result columns of a run.
+
+    ``check`` includes the verdict at half the tolerance, ``limited`` the exceeded limits.
+    """
     left_out = {"design", "command"}
     left_out |= set() if check else {"verdict_at_half_tolerance"}
     left_out |= set() if limited else {"exceeded"}
@@ -105,53 +109,55 @@ def sweep(
 ) -> pandas.DataFrame:
     """Run a scene over values, distributions or the rows of a table.
 
-    Verdicts are those of the detector on the exact motion, also where the scene has
-    ``sensors.motion_capture``; for one run with its noise, see :func:`capture_sim.simulate`.
+    The detector evaluates the exact motion, even if the scene has ``sensors.motion_capture``.  For
+    one run with measurement noise, see :func:`capture_sim.simulate`.
 
     Parameters
     ----------
     scene
         Scene, or the name or path of a scene for :func:`capture_sim.load_scene`.
     vary
-        Varied inputs by name: a field (``"buffer.c_A"``) or the approach (``"approach.angle"``,
-        ``.offset`` or ``.mouth_offset``, ``.speed``: free flight just before the first touch).  An
-        input is given by
-        values, a text (``"5:30:26"``, ``"normal(500, 5%)"``, ``"-5 deg:5 deg:11"``) or a frozen
-        distribution of scipy.stats.  Instead, a table with one run a row and one field a column;
-        other columns are notes, which the result keeps, with a warning.  A row
-        with an invalid value is a failed run with its reason.
+        Varied inputs by name, or a table.  An input is a field (``"buffer.c_A"``) or a value of
+        the approach, the free flight just before the first touch (``"approach.angle"``,
+        ``.offset`` or ``.mouth_offset``, ``.speed``).  Each input has values, a text
+        (``"5:30:26"``, ``"normal(500, 5%)"``, ``"-5 deg:5 deg:11"``) or a frozen distribution of
+        scipy.stats.  A table has one row for each run and one column for each field.  Its other
+        columns are copied to the result as notes, with a warning.  A row with an invalid value
+        becomes a failed run with the reason.
     overrides
-        Changed values as for :func:`capture_sim.load_scene`.
+        Values to change in the scene, as for :func:`capture_sim.load_scene`.
     runs
-        Number of draws from the distributions, at each combination of the values.
+        Number of draws from the distributions at each combination of the values.
     sample
-        Method of the draws: ``"random"``, ``"latin"``, ``"sobol"``, or ``"saltelli"`` for Sobol
+        Sampling method: ``"random"``, ``"latin"``, ``"sobol"``, or ``"saltelli"`` for Sobol
         indices (``runs`` is then the number of base samples).
     seed
-        Seed of the draws.  The draws of a distribution do not depend on the order of the others.
+        Seed of the draws.  The draws do not depend on the order in which the distributions are
+        given.
     edges
-        Number of further draws near the edges of the distributions; their column ``design`` is
-        ``"edges"``.
+        Number of additional draws near the edges of the distributions.  Their rows have
+        ``"edges"`` in the column ``design``.
     correlations
-        Correlations of pairs of distributions by their names, of a Gaussian copula, e.g.
+        Correlations of a Gaussian copula by pairs of names of distributions, e.g.
         ``{("approach.speed", "approach.angle"): 0.6}``.
     limits
-        Upper limits of loads, SI or a text with a unit, e.g. ``{"max_normal_force": 500}``; the
-        column ``exceeded`` has the names of the loads that exceed theirs.
+        Upper limits of loads, SI or a text with a unit, e.g. ``{"max_normal_force": 500}``.  The
+        column ``exceeded`` has the names of the loads that exceed their limits.
     rtol
-        Relative tolerance of the runs, unless ``overrides`` or ``vary`` have ``run.rtol``.
+        Relative tolerance of the runs, unless ``overrides`` or ``vary`` set ``run.rtol``.
     check
-        True to repeat every run at half the tolerance; column ``verdict_at_half_tolerance``.
+        True to repeat every run at half the tolerance.  The column
+        ``verdict_at_half_tolerance`` has the verdicts of the repeated runs.
     executor
         Executor as in ``concurrent.futures``; None for one process on each core.
     report
-        Function called with the number of finished runs and of all runs.
+        Function called with the number of finished runs and the number of all runs.
 
     Returns
     -------
     pandas.DataFrame
         One row for each run, in the order of the samples; ``attrs["units"]`` has the unit of each
-        column.  After Ctrl-C, the runs finished so far, with a warning.
+        column.  After Ctrl-C, the table contains only finished runs, with a warning.
 
     Raises
     ------
@@ -200,7 +206,7 @@ def at_tolerance(scene: Scene, overrides: Overrides, rtol: float = RTOL) -> Scen
 
 
 def notes_text(scene: Scene, names: Sequence[str]) -> str:
-    """Return the warning on columns of a table that are no fields of a scene."""
+    """Return the warning text for columns of a table that are not fields of a scene."""
     return f"columns that are no fields of {scene.name}, kept as notes: {', '.join(names)}"
 
 
@@ -213,7 +219,10 @@ def samples_of(
     edges: int = 0,
     correlations: Correlations | None = None,
 ) -> Samples:
-    """Return the runs of a sweep, checked; see :func:`sweep`."""
+    """Return the runs of a sweep after checking its arguments; see :func:`sweep`.
+
+    Raises SceneError if a name, a value or a combination of names is invalid.
+    """
     if not isinstance(vary, Mapping):
         samples = _samples_of_table(scene, vary)
     else:
@@ -258,12 +267,15 @@ def _samples_of_table(scene: Scene, table: pandas.DataFrame) -> Samples:
 
 
 def _column(scene: Scene, name: str, cells: Sequence[Any]) -> tuple[Axis, dict[int, str]]:
-    """Return the axis of a table's column, NaN in place of an invalid value; why, by the row."""
+    """Return the axis of a table's column, and the reason for each invalid value by row number.
+
+    Invalid values are NaN in the axis.
+    """
     try:
         if not any(map(_is_blank, cells)):
             return make_axis(scene, name, cells), {}
     except SceneError:
-        declaration_of(scene, name)  # if this is the error, it is that of the column
+        declaration_of(scene, name)  # raises here if the name of the column is invalid
     values: list[Any] = []
     invalid: dict[int, str] = {}
     for row, cell in enumerate(cells):
@@ -282,7 +294,11 @@ def _is_blank(cell: Any) -> bool:
 
 
 def _refuse_misspelt(scene: Scene, name: str, inputs: Collection[str]) -> None:
-    """Raise SceneError for a column that names a part of a scene, or a field without its part."""
+    """Raise SceneError if the name of a column looks like a misspelt field.
+
+    Such a name begins with a part of the scene (``buffer.c``), or is a field's name without its
+    part (``c_A``).
+    """
     lower = name.lower()
     part = lower.partition(".")[0]
     fields = [field.lower() for field in inputs]
@@ -302,9 +318,10 @@ def run_samples(
     report: Callable[[int, int], None] | None = None,
     journal: Journal | None = None,
 ) -> pandas.DataFrame:
-    """Run samples; return their table, or after Ctrl-C the rows that are done.
+    """Run samples and return their table.
 
-    A journal keeps the rows as they are done, and its earlier rows are not run again.
+    After Ctrl-C, the table ends before the first unfinished run.  A journal stores the rows as
+    they are computed.  Rows that are already in the journal are not computed again.
     """
     try:
         import pandas
@@ -332,7 +349,7 @@ def run_samples(
                 if report is not None:
                     report(len(done), count)
     except KeyboardInterrupt:
-        pass  # the rows that are done are kept; the caller sees that some are missing
+        pass  # keep the finished rows; the caller can see that rows are missing
     finished = next((k for k in range(count) if k not in done), count)
     inputs = dict(zip(names, zip(*rows[:finished], strict=True), strict=True)) if finished else {}
     table = pandas.DataFrame(inputs)
@@ -352,7 +369,7 @@ def run_samples(
 
 
 def _chunks(rows: Sequence[int], size: int) -> Iterator[range]:
-    """Yield pieces of some ascending numbers of rows, each without a gap."""
+    """Yield ascending row numbers as ranges of at most ``size`` consecutive rows."""
     first = last = -1
     for row in rows:
         if row != last or last - first == size:
@@ -367,7 +384,10 @@ def _chunks(rows: Sequence[int], size: int) -> Iterator[range]:
 def _rows_of_a_moment(
     recipe: Recipe, rows: Sequence[tuple[Any, ...]], done: Collection[int]
 ) -> int:
-    """Return how many rows a worker does in one go so that a kill loses only seconds."""
+    """Return the number of rows in one task, so that a killed sweep loses only seconds of work.
+
+    One waiting row is run to measure its duration.
+    """
     waiting = next((row for k, row in enumerate(rows) if k not in done), None)
     if waiting is None:
         return _CHUNK
@@ -384,20 +404,20 @@ def _failed_row(text: str, *, check: bool, limits: Sequence[Limit]) -> tuple[Any
 
 @dataclasses.dataclass(frozen=True)
 class Recipe:
-    """How the values of a run make its scene: the scene that is varied, and the names varied."""
+    """Recipe for the scene of a run: the scene to vary, and the names of the varied inputs."""
 
     scene: Scene
     names: tuple[str, ...]
 
     @functools.cached_property
     def _approach(self) -> Approach | None:
-        """The approach in the scene itself; None where no axis is one of the approach."""
+        """The approach in the scene before any change; None if no axis varies the approach."""
         if not set(self.names) & set(APPROACH):
             return None
         return approach_of(self.scene)
 
     def scene_of(self, values: Iterable[Any]) -> Scene:
-        """Return the scene of a run.
+        """Return the scene of a run from the values of its inputs.
 
         Raises
         ------
@@ -412,18 +432,19 @@ class Recipe:
         return placed(scene, self._approach_of(given))
 
     def _approach_of(self, given: Mapping[str, Any]) -> Approach:
-        """Return the approach of a run, of its values by name."""
+        """Return the approach of a run from its values by name."""
         assert self._approach is not None
         values = {n.removeprefix("approach."): x for n, x in given.items() if n in APPROACH}
         return with_approach(self._approach, values)
 
     def overrides_of(self, values: Sequence[Any]) -> list[str]:
-        """Return the changes (``name=value``) that make a run's scene, exactly."""
+        """Return the overrides (``name=value``) that reproduce a run's scene exactly."""
         given = dict(zip(self.names, values, strict=True))
         changes = [f"{name}={value}" for name, value in given.items() if name not in APPROACH]
         if self._approach is not None:
             approach = dataclasses.asdict(self._approach_of(given))
-            # one of the two offsets; all others, as the scene's own are of the scene unchanged
+            # only one of the two offsets is valid; every other value is listed, because the values
+            # not given would be taken from the changed scene instead of the original scene
             del approach["offset" if approach["mouth_offset"] is not None else "mouth_offset"]
             changes += [f"approach.{name}={value}" for name, value in approach.items()]
         return changes
@@ -438,7 +459,7 @@ def run_rows(
 ) -> list[tuple[Any, ...]]:
     """Return the results of some runs, each in the order of :func:`result_columns`.
 
-    ``also`` names results that no table has: ``behind``, see :class:`Outcome`.
+    ``also`` names results to append that no table has: ``behind``, see :class:`Outcome`.
     """
     columns = (*result_columns(check=check, limited=bool(limits)), *also)
     memories = iter(kept.memories(2 * len(rows) if check else len(rows)))
@@ -454,7 +475,10 @@ def run_rows(
 def _prepared(
     recipe: Recipe, row: tuple[Any, ...], memories: Iterator[Memory], *, check: bool
 ) -> tuple[Integration, ...] | SceneError:
-    """Return a row's run, with ``check`` also that at half the tolerance, or why it has none."""
+    """Return the integration of a row, or the error if the row has an invalid value.
+
+    With ``check``, a second integration at half the tolerance follows.
+    """
     try:
         scene = recipe.scene_of(row)
         scenes = (scene, _at_half_tolerance(scene)) if check else (scene,)

@@ -1,4 +1,4 @@
-"""Free values of a design, each with the range that is searched."""
+"""Free values of a design: the values of a scene that it may choose, and their ranges."""
 
 from __future__ import annotations
 
@@ -16,33 +16,34 @@ from capture_sim.scene.units import in_si
 from capture_sim.studies.axes import declaration_of
 from capture_sim.studies.limits import Limit
 
-#: Values that are searched unless others are named.
+#: Free values by default.
 FREE = ("buffer.k_A", "buffer.k_T", "buffer.c_A")
-#: Values that act on the torsion: where one is free, its torque is an objective by default.
+#: Values that act on the torsion.  If one of them is free, the buffer's torque is an objective by
+#: default.
 TORSIONAL = ("buffer.k_T", "buffer.k_T3", "buffer.c_T", "buffer.c_T2")
-#: A free value that is no field: the damper as a share of the critical one, in place of c_A.
+#: A free value that is not a field: the damper as a share of critical damping, which replaces c_A.
 DAMPING_RATIO = "damping_ratio"
 _DAMPERS = ("buffer.c_A", "buffer.c_A_rebound")
-#: Most of a damper, as a share of the critical one: optima have a tenth of that, and the time of a
-#: run grows with the damper.
+#: Upper end of a damper's range, as a share of critical damping.  Optima have a tenth of it, and
+#: the computing time of a run grows with the damper.
 _OVERDAMPED = 2.0
 #: Values within this share of an end of their range are at that end.
 _AT_END = 0.02
-#: By which factor a range is widened, and the ratio of the ends of a wide one.
+#: Factor by which a range is widened, and the least ratio of the ends of a wide range.
 _WIDER, _WIDE = 10.0, 100.0
-#: Least stroke of the ranges, as a multiple of how far the contact alone would yield.
+#: Least stroke for the ranges, as a multiple of the penetration of a contact without a buffer.
 _OF_CONTACT = 5.0
-#: Values that a table of the spring's force replaces.
+#: Values that ``buffer.force_table`` replaces.
 _OF_AXIAL_SPRING = ("buffer.k_A", "buffer.k_A3", "buffer.preload")
-#: Strokes where no limit is given, m and rad, as measures of the ranges only.
+#: Stroke (m) and torsion (rad) for the ranges if no limit is given.
 _USUAL_STROKE, _USUAL_TORSION = 0.02, 0.01
 
 
 @dataclass(frozen=True)
 class FreeVariable:
-    """A free value, and the range or the catalogue that is searched.
+    """A free value, and the range or the catalogue to search.
 
-    A range is searched on a logarithmic scale if both ends are > 0.
+    A range is searched on a logarithmic scale if its lower end is > 0, else on a cubic scale.
     """
 
     name: str
@@ -50,11 +51,11 @@ class FreeVariable:
     high: float
     unit: str = ""
     choices: tuple[float, ...] = ()  # a catalogue, ascending; empty for a range
-    is_given: bool = False  # by the user, not from the energy of the approach
-    is_whole: bool = True  # wide enough to say what the buffer decides
+    is_given: bool = False  # by the user, not computed from the approach
+    is_whole: bool = True  # wide enough to see which loads depend on the buffer
 
     def value(self, share: float) -> float:
-        """Return the value at a share of the range, 0 to 1."""
+        """Return the value at a position in the range or the catalogue, 0 to 1."""
         if self.choices:
             return self.choices[min(int(share * len(self.choices)), len(self.choices) - 1)]
         if self.low > 0.0:
@@ -62,7 +63,10 @@ class FreeVariable:
         return float(self.low + (self.high - self.low) * share**3)
 
     def share(self, value: float) -> float:
-        """Return the share of the range at a value; of a catalogue, the nearest item's."""
+        """Return the position of a value in the range, 0 to 1.
+
+        In a catalogue, it is the position of the nearest item.
+        """
         if self.choices:
             distance = [abs(each - value) for each in self.choices]
             return (distance.index(min(distance)) + 0.5) / len(self.choices)
@@ -72,11 +76,14 @@ class FreeVariable:
         return float(((inside - self.low) / (self.high - self.low)) ** (1.0 / 3.0))
 
     def has(self, value: float) -> bool:
-        """Return whether a value is in the range or the catalogue."""
+        """Return True if a value is in the range or the catalogue."""
         return value in self.choices if self.choices else self.low <= value <= self.high
 
     def end_at(self, value: float) -> str:
-        """Return the end of the range that a value is within 2 % of, in words; empty if none."""
+        """Return ``"lower"`` or ``"upper"`` if a value is within 2 % of this end of the range.
+
+        Empty otherwise, for a catalogue, and at a lower end of 0.
+        """
         if self.choices:
             return ""
         share = self.share(value)
@@ -85,13 +92,16 @@ class FreeVariable:
         return "upper" if share > 1.0 - _AT_END else ""
 
     def widened(self, end: str) -> FreeVariable:
-        """Return the variable with ten times the range at one end, as far as physics has it."""
+        """Return the variable with one end of its range moved outwards by a factor of ten."""
         if end == "lower":
             return dataclasses.replace(self, low=self.low / _WIDER)
         return dataclasses.replace(self, high=self.high * _WIDER)
 
     def may_widen(self, end: str) -> bool:
-        """Whether the search may look beyond an end of the range."""
+        """Return True if the search may widen the range at this end.
+
+        It may not widen a range of the user, or the upper end of a damper's range.
+        """
         is_damper = self.name in (*_DAMPERS, DAMPING_RATIO)
         return not (self.is_given or (is_damper and end == "upper"))
 
@@ -99,10 +109,11 @@ class FreeVariable:
 def make_variables(
     scene: Scene, limits: Sequence[Limit], free: Sequence[str]
 ) -> tuple[FreeVariable, ...]:
-    """Return the values to search with their ranges or catalogues.
+    """Return the free values with their ranges or catalogues.
 
-    A missing range is set around a buffer that absorbs the energy of the approach within the limits
-    of its strokes.  SceneError if a name or a range is invalid.
+    ``free`` are texts ``NAME``, ``NAME=LOW:HIGH`` or ``NAME=[A,B,..]``.  A default range surrounds
+    the value of a buffer that absorbs the energy of the approach within the limits of its strokes.
+    SceneError if a name or a range is invalid.
     """
     usual = _usual_ranges(scene, limits)
     variables: list[FreeVariable] = []
@@ -149,7 +160,7 @@ def _declaration(scene: Scene, name: str) -> Declared:
 
 
 def _of_catalogue(name: str, given: str, what: Declared) -> FreeVariable:
-    """Return the variable of a catalogue, ``[450,500,560]``."""
+    """Return the variable of a catalogue, e.g. ``[450,500,560]``."""
     items = [item.strip() for item in given[1:].removesuffix("]").split(",") if item.strip()]
     try:
         if not given.endswith("]") or not items:
@@ -177,7 +188,7 @@ def _ends(name: str, given: str, unit: str) -> tuple[float, float]:
 
 
 def _is_wide(ends: tuple[float, float], usual: tuple[float, float] | None) -> bool:
-    """Return whether a given range has the usual one inside, or spans two decades."""
+    """Return True if a given range contains the usual range, or spans two decades."""
     if usual is not None and ends[0] <= usual[0] and usual[1] <= ends[1]:
         return True
     return ends[0] > 0.0 and ends[1] / ends[0] >= _WIDE
@@ -190,15 +201,18 @@ def reduced_mass(scene: Scene) -> float:
 
 
 def _usual_ranges(scene: Scene, limits: Sequence[Limit]) -> dict[str, tuple[float, float]]:
-    """Return ranges around a buffer that absorbs the approach's energy within its strokes."""
+    """Return ranges around a buffer that absorbs the approach's energy within its strokes.
+
+    The ranges are (low, high) by name, in SI units.
+    """
     given = {limit.key.removesuffix("_before_latch"): limit.value for limit in limits}
     speed = approach_of(scene).speed
-    # a stiffer buffer hardly moves: the contact itself is as soft
+    # least stroke: a stiffer buffer would hardly move, because the contact yields instead
     least = _OF_CONTACT * _penetration(scene, speed)
     stroke = max(given.get("max_axial_stroke_in", _USUAL_STROKE), least)
     torsion = given.get("max_torsion", _USUAL_TORSION)
     k_A = reduced_mass(scene) * (speed / stroke) ** 2
-    c_A = 2.0 * reduced_mass(scene) * speed / stroke  # critical on that spring
+    c_A = 2.0 * reduced_mass(scene) * speed / stroke  # critical damping on the spring k_A
     k_T = k_A * stroke * scene.rest_length / torsion
     c_T = k_T * torsion * scene.rest_length / speed
     turning = speed / scene.rest_length
@@ -219,7 +233,10 @@ def _usual_ranges(scene: Scene, limits: Sequence[Limit]) -> dict[str, tuple[floa
 
 
 def _penetration(scene: Scene, speed: float) -> float:
-    """Return how far the contact alone would yield to the approach, m; 0 with a measured curve."""
+    """Return the penetration if the contact alone absorbed the energy of the approach, m.
+
+    0 if the contact has a measured force curve.
+    """
     if scene.contact.force_table is not None:
         return 0.0
     energy, p = 0.5 * reduced_mass(scene) * speed**2, scene.contact.exponent
@@ -227,15 +244,16 @@ def _penetration(scene: Scene, speed: float) -> float:
 
 
 def with_values(scene: Scene, values: Mapping[str, float]) -> Scene:
-    """Return a scene with a candidate's values, see :func:`fields_of`."""
+    """Return a scene with a candidate's values; see :func:`fields_of`."""
     changed: Scene = paths.with_values(scene, fields_of(scene, values))
     return changed
 
 
 def fields_of(scene: Scene, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the fields of a scene for a candidate's values.
+    """Return the fields of a scene, by name, for a candidate's values.
 
-    The damping ratio gives the damper; a rebound damper keeps its ratio to the damper.
+    The damping ratio is converted to ``buffer.c_A``.  A rebound damper keeps its ratio to the
+    damper unless it is itself a free value.
     """
     fields = {name: value for name, value in values.items() if name != DAMPING_RATIO}
     if DAMPING_RATIO in values:
@@ -249,7 +267,7 @@ def fields_of(scene: Scene, values: Mapping[str, float]) -> dict[str, float]:
 
 
 def own_value(scene: Scene, name: str) -> float:
-    """Return a free value of the scene itself; 0 where it has none."""
+    """Return a free value of the unchanged scene; 0 if the scene has no such value."""
     if name == DAMPING_RATIO:
         critical = 2.0 * math.sqrt(scene.buffer.k_A * reduced_mass(scene))
         return scene.buffer.c_A / critical if critical else 0.0
