@@ -85,7 +85,7 @@ class Episodes:
 
     @property
     def is_comparing(self) -> bool:
-        """Whether an episode is still compared with the rig."""
+        """True if an episode is still compared with the rig."""
         return self._comparison is not None
 
     def work(self) -> None:
@@ -111,7 +111,7 @@ class Episodes:
         episode.rig_peak_force = max(episode.rig_peak_force, rig_force or 0.0)
 
     def has_ended(self, answered: float, servo_lag: float) -> bool:
-        """Return whether the present episode is over, by the stamp of the latest answer (s)."""
+        """Return True if the present episode is over, by the stamp of the latest answer (s)."""
         if self.present is None or self._last_loaded == self._stage.t:
             return False
         settling = max(5.0 * self._stage.step, 2.0 * servo_lag, 0.25 * self.present.duration)

@@ -283,7 +283,7 @@ class Loop:
             self._note("the run ended before the contact was compared with the rig's")
 
     def _is_clear(self, law: WallLaw) -> bool:
-        """Return whether the tip is outside of the walls of this law and of the present one."""
+        """Return True if the tip is outside of the walls of this law and of the present one."""
         depth = self._walls.deepest(self.stage.tip).depth
         return depth + max(law.offset, self.law.offset) < 0.0
 

@@ -35,7 +35,7 @@ class RunUp:
 
 
 class Predictor:
-    """Where the tip will be when the answer to its position is used, by its velocity."""
+    """Predicts the tip's position at the time when the rig's answer is used, from its velocity."""
 
     def __init__(self, first: TipState, step: float, limits: LoopLimits) -> None:
         self._step, self._max_lag = step, limits.latency

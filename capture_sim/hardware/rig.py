@@ -33,7 +33,7 @@ class Servo:
 
     @property
     def lag(self) -> float:
-        """By how much the tip is behind a steady motion, s."""
+        """Lag of the tip in a steady motion, s."""
         if not self.bandwidth:
             return self.delay
         return self.delay + 2.0 * self.damping_ratio / (2.0 * math.pi * self.bandwidth)

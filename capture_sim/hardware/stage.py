@@ -138,7 +138,7 @@ class LoopStage:
 
     @property
     def latched(self) -> bool:
-        """Whether the latch has closed."""
+        """True if the latch has closed."""
         return bool(self._samples["elastic_latch"][-1] > 0.0)
 
     def closing_speed(self, nx: float, ny: float, state: StageState | None = None) -> float:

@@ -217,7 +217,7 @@ def launch_command(run_id: str, action: LaunchAction, plan: LaunchPlan) -> dict[
 
 
 def stamps_ns(t: np.ndarray) -> np.ndarray:
-    """Return the stamps of times since the release, (n,): ns for s."""
+    """Return the stamps (n,), ns, of times (n,), s since the release."""
     return np.asarray(EPOCH_NS + np.rint(t * 1e9).astype(np.int64))
 
 

@@ -95,7 +95,7 @@ class _OnDemand(dict[str, Any]):
 
 
 def is_known(type_name: str) -> bool:
-    """Return whether a type is one of capture_sim or of ROS 2 Jazzy, or was learned."""
+    """Return True if a type is one of capture_sim or of ROS 2 Jazzy, or was learned."""
     try:
         return bool(typestore().types[type_name])
     except KeyError:

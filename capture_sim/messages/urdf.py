@@ -49,7 +49,7 @@ _COLOURS = {
 
 
 class Transform(NamedTuple):
-    """Where a frame lies in its parent; turned about z only."""
+    """Pose of a frame in its parent frame; the rotation is about z only."""
 
     parent: str
     child: str
@@ -91,7 +91,7 @@ def moving_transforms(scene: Scene, q: Sequence[float]) -> Iterator[Transform]:
 
 
 def static_transforms(scene: Scene) -> Iterator[Transform]:
-    """Yield the transforms that stay."""
+    """Yield the static transforms."""
     yield Transform(PROBE_FRAME, TIP_FRAME, scene.rest_length, 0.0, 0.0)
     yield Transform(TARGET_FRAME, CONE_FRAME, -scene.cone.L_T, 0.0, 0.0)
 

@@ -277,7 +277,7 @@ def _is_unset(motion: MeasuredMotion, channel: Channel) -> bool:
 
 
 def _unset(motion: MeasuredMotion, channel: Channel) -> np.ndarray:
-    """Return which stamps are 0, (n,) bool."""
+    """Return True for each stamp that is 0, (n,) bool."""
     return np.asarray(np.abs(channel.t + motion.measured.origin / 1e9) < 1e-3)
 
 

@@ -55,7 +55,7 @@ class MeasuredMotion:
         self._force_limit = 0.0  # N, that a force must pass to begin a contact
 
     def once(self, name: str, make: Callable[[], Any]) -> Any:
-        """Return what ``make`` returns, made at the first call with this name."""
+        """Return the result of ``make``, which is called once for each name."""
         if name not in self._made:
             self._made[name] = make()
         return self._made[name]
@@ -130,7 +130,7 @@ class MeasuredMotion:
 
     @cached_property
     def approach(self) -> np.ndarray:
-        """Which poses of :attr:`pair` belong to the approach, (n,) bool: before it is nearest."""
+        """True for each pose of :attr:`pair` in the approach, (n,) bool: before the closest one."""
         found = np.zeros(len(self.distance), dtype=bool)
         if len(self.distance):
             nearest = self.distance <= np.percentile(self.distance, 2.0)
@@ -320,7 +320,7 @@ class MeasuredMotion:
 
 
 def _is_covered(t: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Return which times (n,) lie between two of the ascending ``u`` that are no gap, (n,) bool."""
+    """Return True for each time (n,) between two ascending ``u`` without gap, (n,) bool."""
     after = np.searchsorted(u, t, side="right").clip(1, max(len(u) - 1, 1))
     if len(u) < 2:
         return np.zeros(len(t), dtype=bool)

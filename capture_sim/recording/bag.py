@@ -134,7 +134,7 @@ class Bag(RecordedTopics):
 
     @property
     def complete(self) -> bool:
-        """Whether the file was closed properly and no message is missing from it."""
+        """True if the file was closed properly and no message is missing from it."""
         return not self.problems
 
     @property
@@ -169,14 +169,14 @@ class Bag(RecordedTopics):
 
     @property
     def cut(self) -> bool:
-        """Whether the end of the run is missing: ended early, or not all recorded."""
+        """True if the end of the run is missing: ended early, or not all recorded."""
         if SIMULATOR in self._publishers:
             return is_cut(self)
         return bool(self.damage)
 
     @cached_property
     def has_end(self) -> bool:
-        """Whether the end of the run is recorded.
+        """True if the end of the run is recorded.
 
         That is the simulator's report, also of a run that it ended early; of a real bench, in an
         undamaged file, a final status of the detector, the counts that a node sends at the end, or
@@ -191,7 +191,7 @@ class Bag(RecordedTopics):
 
     @property
     def _is_held(self) -> bool:
-        """Whether the last message to the holding device holds the chaser."""
+        """True if the last message to the holding device holds the chaser."""
         if not self.has(HOLD) or self.types.get(f"/{HOLD}") != "std_msgs/msg/Bool":
             return False
         return bool(self.columns(HOLD)["data"][-1])
@@ -204,7 +204,7 @@ class Bag(RecordedTopics):
 
     @property
     def metadata(self) -> dict[str, str]:
-        """How the run was made: run_id, name, scene_sha256, software, rates."""
+        """Metadata of the run: run_id, name, scene_sha256, software, rates."""
         stored = self._contents.metadata.get(RUN_METADATA, {})
         # unlike a metadata record, a message has a checksum in every file
         return {**stored, **({} if self.announced is None else describing(self.announced))}
@@ -234,7 +234,7 @@ class Bag(RecordedTopics):
 
     @property
     def has_scene(self) -> bool:
-        """Whether the file contains the scene that made the run."""
+        """True if the file contains the scene that made the run."""
         return SCENE_ATTACHMENT in self._contents.attachments or self.announced is not None
 
     @property
@@ -259,7 +259,7 @@ class Bag(RecordedTopics):
 
     @property
     def is_simulated(self) -> bool:
-        """Whether a simulator sent the run: one clock stamps all of it."""
+        """True if a simulator sent the run: one clock stamps all of it."""
         is_announced = self.announced is not None and SIMULATOR in self.announced.publishers
         return is_announced or self.holds(BENCH_STATE)
 

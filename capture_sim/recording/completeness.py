@@ -114,7 +114,7 @@ class Completeness:
 
     @property
     def satisfied(self) -> bool:
-        """Whether all publishers have reported and all their messages were received."""
+        """True if all publishers have reported and all their messages were received."""
         return set(self.publishers) <= set(self._ended) and all(
             (entry.next_seq if topic.holds_state else entry.received) >= (entry.expected or 0)
             for topic, entry in self._topics.items()

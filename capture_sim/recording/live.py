@@ -102,7 +102,7 @@ class LiveRecorder:
 
     @property
     def done(self) -> bool:
-        """Whether all publishers have ended the run and all their messages were received."""
+        """True if all publishers have ended the run and all their messages were received."""
         return self._completeness.satisfied
 
     def take(self, topic: Topic, data: bytes, arrival: int | None = None) -> None:

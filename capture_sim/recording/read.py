@@ -131,7 +131,7 @@ class GivenByBag(Given):
 
     @cached_property
     def live(self) -> LiveConditions:
-        """Which measurements the live detector could use."""
+        """Measurements that the live detector could use."""
         return live_conditions(self._bag)
 
     @cached_property

@@ -82,7 +82,7 @@ class Given:
 
     @cached_property
     def live(self) -> LiveConditions:
-        """Which measurements the live detector could use."""
+        """Measurements that the live detector could use."""
         return LiveConditions(is_simulated=True)
 
     @cached_property

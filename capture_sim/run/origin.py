@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Release(Enum):
-    """How the release, t = 0, was found."""
+    """Source of the release time, t = 0."""
 
     STAMP = auto()  # recorded, and stamped by the clock of the poses
     ARRIVAL = auto()  # recorded by its arrival only, or the trial's announcement in its place

@@ -111,7 +111,7 @@ class Touches:
         return np.hypot(of_force, _SAMPLING * samples**-2.5 * self.impulse)
 
     def may_miss(self, lasted: np.ndarray | float) -> bool:
-        """Whether touches that last so long, s, could have too few samples to be found."""
+        """True if touches that last so long, s, could have too few samples to be found."""
         shortest = float(np.min(lasted, initial=math.inf))
         return MIN_SAMPLES * self.spacing > shortest
 

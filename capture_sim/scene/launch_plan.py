@@ -30,7 +30,7 @@ _speed_after, _time_between = plain(speed_after), plain(time_between)
 
 
 class LaunchPlan(NamedTuple):
-    """How the chaser is launched; SI units."""
+    """Plan of a launch; SI units."""
 
     # hanging_mass, drop_height: kg and m; zero in a scene without string
     hanging_mass: float

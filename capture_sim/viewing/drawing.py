@@ -192,7 +192,7 @@ def run_look(plotted: PlottedRun, width: float = CURVE) -> dict[str, Any]:
 
 
 def line_look(name: str, width: float = CURVE) -> dict[str, Any]:
-    """Return how matplotlib draws what one of HOLDS holds; ``width`` in points, in contact."""
+    """Return matplotlib's line style for one of HOLDS; ``width`` in points, in contact."""
     line = style.LINES[name]
     cap = {"solid_capstyle": "butt"} if line.dashes == "solid" else {}
     return {"ls": line.dashes, "lw": width * line.width, **cap}

@@ -89,7 +89,7 @@ FREE_LINE = (0, (4.0, 2.4))
 
 
 class Line(NamedTuple):
-    """How a curve is drawn: dashes of matplotlib, width where contact is 1."""
+    """Style of a curve: dashes of matplotlib, and a width relative to the width in contact."""
 
     dashes: tuple[float, tuple[float, ...]] | str
     width: float

@@ -134,7 +134,7 @@ class BenchNode(ParameterNode):
             self._best_effort.pop()()
 
     def wake(self) -> None:
-        """End a wait's present pause, so that it looks at its condition; from any thread."""
+        """Interrupt the present wait so that it checks its condition; call it from any thread."""
         executor = self.callback_executor
         if executor is not None:
             executor.create_task(lambda: None)

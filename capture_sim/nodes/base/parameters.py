@@ -182,7 +182,7 @@ def _is_unset(value: object, kind: type) -> bool:
 
 
 def _fits(value: object, kind: type, choices: Sequence[str]) -> bool:
-    """Whether a value that was given has the type and is of the choices, where there are some."""
+    """True if a value that was given has the type and is of the choices, where there are some."""
     if type(value) is not kind:
         return False
     texts = value if isinstance(value, list) else [value]

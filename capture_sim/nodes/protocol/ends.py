@@ -21,12 +21,12 @@ class CutKind(Enum):
 
     @property
     def is_requested(self) -> bool:
-        """Whether a user has asked for it."""
+        """True if a user has asked for it."""
         return self is not CutKind.ABORTED
 
 
 class EndKind(Enum):
-    """How a run has ended for a participant."""
+    """Ways in which a run can end for a participant."""
 
     COMPLETE = "complete"
     REQUESTED = "requested"  # reset, stopped, quitting, Ctrl-C

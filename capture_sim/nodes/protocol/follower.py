@@ -76,7 +76,7 @@ class AnnouncedRun:
 
     @cached_property
     def simulated(self) -> bool:
-        """Whether its times are a simulator's, live or played: the release is t = 0."""
+        """True if its times are a simulator's, live or played: the release is t = 0."""
         return SIMULATOR in self.info.publishers
 
 
@@ -118,7 +118,7 @@ class _Participation:
         self.logged: set[str] = set()  # problems
 
     def note_sign(self) -> None:
-        """Note that something of the run has come, or that its announcer is there."""
+        """Note a sign of the run: a message of it, or the presence of its announcer."""
         self.quiet = 0
 
     def note_message(self, topic: Topic) -> None:
@@ -213,17 +213,17 @@ class Follower:
 
     @property
     def is_on(self) -> bool:
-        """Whether a run has begun here."""
+        """True if a run has begun here."""
         return self._present is not None and self._present.has_begun
 
     @property
     def has_ended(self) -> bool:
-        """Whether the announcer has ended the run; messages may be on their way."""
+        """True if the announcer has ended the run; messages may be on their way."""
         return self._present is not None and self._present.has_ended
 
     @property
     def was_cut(self) -> bool:
-        """Whether the simulator has not reported the run as complete."""
+        """True if the simulator has not reported the run as complete."""
         present = self._present
         if present is None or not present.run.simulated:
             return False

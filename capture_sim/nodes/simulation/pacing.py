@@ -17,7 +17,7 @@ _KEPT = 1_000_000
 
 
 class Lateness(NamedTuple):
-    """How late the ticks of a paced run came, s (wall)."""
+    """Lateness of the ticks of a paced run, s (wall)."""
 
     p50: float
     p99: float

@@ -81,7 +81,7 @@ class Stepping:
 
     @property
     def figures(self) -> str:
-        """How far and how fast the run is, in words."""
+        """Progress and pace of the run, in words."""
         pacer = self._control.pacer
         text = f"{self.t:.2f} s simulated in {pacer.wall:.2f} s ({pacer.achieved:.5g} x real time)"
         late = None if pacer.running else pacer.lateness()

@@ -57,13 +57,13 @@ UNKNOWN = "_NODE_NAME_UNKNOWN_"
 
 
 class TrialBench:
-    """Feeds the trial that is on, lets it decide, and holds or lets go the chaser.
+    """Feeds the present trial, lets it decide, and holds or releases the chaser.
 
-    Without ``has_actuator`` the chaser is let go by hand.  ``driver``: the node that must read
-    launcher/hold, empty for any that is not of ``suite``, which returns the full names of the nodes
-    of this suite.  ``steps``: those of the trial that its server has yet to do; ``stamp``: of the
-    chaser's latest pose, ns.  ``waived``: rules that do not refuse a release, by name.
-    ``scene``: of trials whose goal names none.
+    Without ``has_actuator`` the chaser is released by hand.  ``driver`` names the node that must
+    read launcher/hold; if it is empty, any node may that is not one of ``suite``, which returns the
+    full names of the nodes of this suite.  ``steps`` are the steps of the trial that its server has
+    yet to take.  ``stamp`` (ns) is the stamp of the chaser's latest pose.  ``waived`` has the names
+    of rules that do not refuse a release.  ``scene`` is the scene of trials whose goal names none.
     """
 
     def __init__(

@@ -128,7 +128,7 @@ class Calibrated:
 
     @property
     def of_bench(self) -> list[int]:
-        """Which parameters are fields of a scene, not errors of sensors."""
+        """True for each parameter that is a field of a scene, not an error of a sensor."""
         return [k for k, name in enumerate(self.names) if name not in SENSOR_ERRORS]
 
     def paths(self, k: int) -> tuple[str, ...]:

@@ -147,7 +147,7 @@ class Problem:
 
     @property
     def fixed(self) -> np.ndarray:
-        """Which numbers of the place are not fitted, (d,) bool: known releases."""
+        """True for each number of the coordinates that is not fitted, (d,) bool: known releases."""
         is_fixed = np.zeros(self.dimension, bool)
         for number, trial in enumerate(self.trials):
             is_fixed[self.own(number).stop - 1] = not trial.is_release_fitted

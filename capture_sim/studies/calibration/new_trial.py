@@ -44,7 +44,7 @@ class Comparison(NamedTuple):
 
 
 class TrialAgreement(NamedTuple):
-    """How a trial agrees with a calibration."""
+    """Agreement of a trial with a calibration."""
 
     noise: Comparison
     parameters: Comparison

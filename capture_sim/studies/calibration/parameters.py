@@ -1,7 +1,8 @@
-"""What is fitted: numbers of the bench and errors of its sensors, each on a scale of its own.
+"""Fitted parameters: numbers of the bench and errors of its sensors, each on its own scale.
 
-A search moves in coordinates, in which all parameters have about the same size: the logarithm of a
-number that must be positive, otherwise the number over its usual size.
+A search moves in coordinates, in which all parameters have about the same size.  The coordinate is
+the logarithm of a number that must be positive; for any other number it is the number divided by
+its usual size.
 """
 
 from __future__ import annotations

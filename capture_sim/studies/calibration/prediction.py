@@ -30,7 +30,7 @@ _RATE = 200.0
 
 @dataclass(frozen=True)
 class Placement:
-    """How exactly the vehicles are placed: standard deviations of each vehicle's pose."""
+    """Accuracy of the vehicles' placement: standard deviations of each vehicle's pose."""
 
     position: float  # m, along x and along y
     angle: float  # rad
