@@ -218,10 +218,10 @@ class CaptureDetector:
     def finish(self, *, cut: bool = False, has_end: bool = True) -> list[CaptureStatus]:
         """Close the run; return the remaining statuses, ending with the final one.
 
-        The last status is that of the last measurement: a verdict, or undecided.  It is final,
-        unless a cut run has no verdict.  If nothing was measured, its numbers are NaN and its
-        time is the earliest stamp.  ``cut``: the run was ended before its time.  ``has_end``: False
-        for a recording without the end of its run: a tip that moves proves nothing there.
+        The last status is at the last measurement: a verdict, or undecided.  It is final, unless a
+        run that was cut has no verdict.  If nothing was measured, its numbers are NaN and its time
+        is the earliest stamp.  ``cut`` is True if the run was ended early.  ``has_end`` is False
+        for a recording without the end of its run, where a moving tip proves nothing.
         """
         remaining = self._take(self._sequencer.finish())
         if not self.clocks_differ:

@@ -83,10 +83,11 @@ def _inverse(basis: np.ndarray) -> np.ndarray:
 class TipPath:
     """Follows the tip; returns its places in the order of time, each once.
 
-    ``radius`` is that of the capture zone, m, which the accuracy refers to; ``delay``, s, the
-    longest wait after an instant for the measurements of its fit.  With noise below ``clean``, m,
-    the measurements are used directly.  Nothing is fitted over a gap longer than ``gap``, s, but
-    never less than three intervals.  :meth:`fit` may reach back by ``keep``, s.
+    ``radius`` (m) is the radius of the capture zone, for which the accuracy is required.  ``delay``
+    (s) is the longest wait after an instant for the measurements of its fit.  If the noise is below
+    ``clean`` (m), the measurements are used directly.  Nothing is fitted over a gap longer than
+    ``gap`` (s), but three intervals are always permitted.  :meth:`fit` may reach back by ``keep``
+    (s).
     """
 
     def __init__(

@@ -65,11 +65,11 @@ class Answers:
     def offer(
         self, stamp: float, now: float, wrench: Wrench, tip: TipState | None
     ) -> Answer | None:
-        """Return the answer if it can be used; else count why not.
+        """Return the answer if it can be used; else count the reason.
 
-        ``stamp`` (s) is that of the position that it answers, ``now`` (s) the loop's time, ``tip``
-        where the rig has measured its tip.  SafeStopError if force or torque is beyond its limit,
-        whatever the stamp is.
+        ``stamp`` (s) is the stamp of the position that it answers, ``now`` (s) the loop's time, and
+        ``tip`` the position where the rig has measured its tip.  SafeStopError if force or torque
+        exceeds its limit, whatever the stamp is.
         """
         is_finite = all(map(math.isfinite, wrench))
         if self._is_tared and is_finite:

@@ -57,10 +57,11 @@ class _Course:
 
 
 class Episodes:
-    """Follows contact episodes; fits a law to each and compares the vehicles with it.
+    """Follows contact episodes; fits a law to each and compares the vehicles' motion with it.
 
-    ``is_model``: a law acts on the vehicles, and is replaced by what was fitted.  ``estimate``: the
-    law and what is known of it; ``next_law``: the law to act next, None for the present one.
+    ``is_model`` is True if a law acts on the vehicles; the fitted law then replaces it.
+    ``estimate`` is the present estimate of the rig's law.  ``next_law`` is the law that acts next,
+    None for the present one.
     """
 
     def __init__(

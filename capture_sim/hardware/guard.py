@@ -66,11 +66,11 @@ def _check(name: str, value: float, unit: str, limit: float, hint: str = "") -> 
 
 
 class Guard:
-    """The limits of a loop on its way to the rig and to the vehicles.
+    """The limits of a loop for the rig and for the vehicles.
 
-    ``law``: the contact that is expected.  ``excess`` (J): the most by which the
-    vehicles' energy was above the least before the touch.  ``withheld`` (J): what scaled wrenches
-    would have added.  ``history``: states of the stage before its latest steps, newest last.
+    ``law`` is the expected contact.  ``excess`` (J) is the largest rise of the vehicles' energy
+    above its minimum before the touch.  ``withheld`` (J) is the energy that scaled wrenches would
+    have added.  ``history`` has states of the stage before its latest steps, the newest last.
     """
 
     def __init__(self, stage: LoopStage, limits: LoopLimits, law: WallLaw = NO_LAW) -> None:
@@ -154,10 +154,10 @@ class Guard:
         self._reference = min(self._reference, self._stage.energy)
 
     def take_guarded_step(self, wrench: Wrench, *, is_correction: bool = False) -> None:
-        """Move the vehicles a step under a wrench; one that would add too much is scaled down.
+        """Move the vehicles by one step; scale down a wrench that adds too much energy.
 
-        A correction of a law may add nothing.  Of other wrenches, SafeStopError if as much again as
-        the limit was withheld.
+        A correction of a law may add no energy.  For all other wrenches, SafeStopError if the
+        withheld energy exceeds the limit too.
         """
         stage, limit = self._stage, self._limits.energy
         before, energy = stage.saved(), stage.energy
@@ -179,8 +179,9 @@ class Guard:
     def _repeat_step_within(self, limit: float, wrench: Wrench, before: StageState) -> None:
         """Repeat a step with a share of the wrench that keeps the energy below a limit, J.
 
-        The peak energy is a convex function of the share, as of a linear system's: the chord
-        through a share that is small enough and one that is too large gives another small one.
+        The peak energy is a convex function of the share, as in any linear system.  Therefore the
+        chord through a share that is small enough and one that is too large gives another share
+        that is small enough.
         """
         stage, high, share = self._stage, self._stage.peak_energy, 0.0
         stage.restore(before)

@@ -136,9 +136,10 @@ class Loop:
 
     @property
     def known_lag(self) -> float | None:
-        """The lag as a measurement, s; None beyond the limit of the latency: no answer is so old.
+        """The lag as a measurement, s; None if it exceeds the limit of the latency.
 
-        It is so long e.g. if the rig's tip does not follow the positions.
+        No answer is that old.  Such a lag results e.g. if the rig's tip does not follow the
+        positions.
         """
         return self.lag if self.lag <= self._limits.latency else None
 

@@ -1,7 +1,7 @@
-"""A run in the loop as a Run like any other, made after its end.
+"""A run in the loop as an ordinary Run, made after its end.
 
-The vehicles' samples are the loop's own.  Touches are what acted on the tip, from the rig or from a
-law, as found in the samples: between two samples nothing of it is known.
+The samples of the vehicles are the loop's own.  Touches are found in the samples of the force on
+the tip, from the rig or from a law.  Between two samples the force is unknown.
 """
 
 from __future__ import annotations

@@ -59,12 +59,12 @@ def state_after_rail(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 class LoopStage:
-    """Vehicles, buffer, supports, stroke stops and latch, with the tip's wrench from outside.
+    """Vehicles, buffer, supports, stroke stops and latch, under an external wrench on the tip.
 
-    The wrench is held over each ``step`` (s).  With a rail the stage begins where the chaser leaves
-    it.  Once latched, the wrench acts no more.  The walls of the scene do not act; see
-    :meth:`set_law`.  ``state``: coordinates (8,) and rates
-    (8,) to begin with, None for those of the scene.
+    The wrench is held over each ``step`` (s).  With a rail the stage starts where the chaser leaves
+    it.  After the latch has closed, the wrench no longer acts.  The walls of the scene do not act;
+    see :meth:`set_law`.  ``state`` has the initial coordinates (8,) and rates (8,), None for those
+    of the scene.
     """
 
     def __init__(
@@ -110,8 +110,8 @@ class LoopStage:
     def energy(self) -> float:
         """Energy that vehicles, springs and law have gained since the start, J.
 
-        What the dampers of buffer, stops and latch dissipate counts as theirs: only the wrench can
-        raise this energy; damping and friction of the law lower it.
+        Energy that the dampers of buffer, stops and latch dissipate is included.  So only the
+        wrench can raise this energy, and damping and friction of the law lower it.
         """
         return float(_energies(self._samples)[-1])
 

@@ -132,9 +132,9 @@ class Numbers:
 
 
 class Template:
-    """A serialised message, of which the fields in ``columns`` are set to n values each.
+    """A serialised message that n messages share, with n values for each field in ``columns``.
 
-    Texts and the lengths of sequences are those of all, so every field stands at one place.
+    All messages have the same texts and lengths of sequences, so each field has a fixed position.
     """
 
     def __init__(self, store: Typestore, message: Any, columns: Columns) -> None:

@@ -1,10 +1,10 @@
-"""Messages of other versions of this package: what a file's definition lacks gets its default.
+"""Messages of other versions of this package: fields that a file lacks get their defaults.
 
-The rule of evolution, for messages, scenes and results alike, is in CONTRIBUTING.md: they only
-gain fields.  A field that came after the first recordings has its default in its line of the
-``.msg`` file, in ROS's own syntax (``float64 dissipated_slide 0.0``).  MCAP files contain the
-definitions that they were written with.  What such a definition lacks is filled in here; what it
-has in addition comes from a newer version and is left out.
+The rule of evolution for messages, scenes and results is in CONTRIBUTING.md: they only gain fields.
+A field that is younger than the first recordings has its default in its line of the ``.msg`` file,
+in ROS's own syntax (``float64 dissipated_slide 0.0``).  MCAP files contain the definitions with
+which they were written.  Fields that such a definition lacks are filled in here.  Fields that it
+has in addition come from a newer version and are left out.
 """
 
 from __future__ import annotations

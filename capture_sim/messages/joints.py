@@ -47,11 +47,11 @@ class JointWaitsError(NoJointsError):
 class JointReader:
     """Reads stamp and joints of sensor_msgs/JointState.
 
-    A driver names the same joints in every message: where their numbers stand is found again only
-    for a message whose texts differ from those of the one before.  Where each joint has messages
-    of its own, they are joined: a measurement is at the stamp of one joint, the other one is
-    interpolated.  A joint may have a prefix, e.g. ``rig/buffer_slide``, which is the same in all
-    messages.
+    A driver names the same joints in every message.  So the positions of their numbers are computed
+    again only for a message whose texts differ from the message before.  If each joint has messages
+    of its own, they are joined: a measurement has the stamp of one joint, and the other joint is
+    interpolated.  A joint may have a prefix, e.g. ``rig/buffer_slide``, if all messages have the
+    same prefix.
     """
 
     def __init__(self, store: Typestore) -> None:

@@ -53,9 +53,10 @@ _NUMBERS = {
 
 
 class MeasurementReader:
-    """Reads what the messages of a topic of :data:`OF_A_BENCH` measure, from their bytes alone.
+    """Reads the measurements in the messages of a topic of :data:`OF_A_BENCH`, from their bytes.
 
-    Nodes and recordings read by it.  ``store``: knows the types; None for those of this version.
+    Nodes and recordings share it.  ``store`` knows the message types; None for the types of this
+    version.
     """
 
     def __init__(self, topic: Topic, store: Typestore | None = None) -> None:
@@ -87,11 +88,11 @@ class MeasurementReader:
 
 
 class DetectorInput:
-    """The measurements that the detector decides by, out of the messages of a run.
+    """The measurements for the detector, from the messages of a run.
 
-    Where the scene of a simulated run has motion capture, the poses are its; else those of the
-    odometry.  On a bench without simulator the first topic of each source that comes is used.
-    ``readers``: by topic, those of a node that reads the messages for something else too.
+    If the scene of a simulated run has motion capture, its poses are used, else those of the
+    odometry.  On a bench without simulator, the first topic of each source that arrives is used.
+    ``readers`` are, by topic, readers of a node that also reads the messages for another purpose.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
-"""The ordered stream of messages that a run is, made from blocks of core data.
+"""The ordered stream of a run's messages, made from blocks of core data.
 
-Each node of the suite has one class here; it numbers and counts what it sends.  The node
-publishes what the class yields and the offline writer writes it, so both have the same
-messages in the same order.
+Each node of the suite has one class here, which numbers and counts its messages.  The node
+publishes the messages that the class yields, and the offline writer writes them, so both have
+identical messages in the same order.
 """
 
 from __future__ import annotations
@@ -60,15 +60,15 @@ def samples_per_message(state_rate: float, rate: float) -> int:
 
 
 class ContactInterval:
-    """Sums up the contact from one ContactState message to the next.
+    """Summarises the contact from one ContactState message to the next.
 
-    Feed it with every event and every sample in order, then :meth:`take` at a message.
+    Feed it with every event and every sample in order, then call :meth:`take` at a message.
 
-    A touch's located peak is known when the touch ends.  When that is after the message
-    of the interval it lies in, it is reported by the next one, at most one message late;
-    a touch that goes on for longer than that is represented by the samples' forces there
-    and by its lift_off event.  So the result depends on what was known at the time only,
-    and is the same however the run is cut into blocks.
+    A touch's located peak is known only when the touch ends.  If that is after the message of its
+    interval, the next message reports the peak, one message late at most.  A touch that lasts
+    longer than that is represented by the forces of the samples and by its lift_off event.  So the
+    result depends only on what was known at the time, and not on how the run is divided into
+    blocks.
     """
 
     def __init__(self) -> None:
@@ -201,11 +201,11 @@ class _StatusStream(_Stream):
 
 
 class BenchTelemetry(_Stream):
-    """What the simulator sends: begin, any number of blocks, rest, end.
+    """The messages that the simulator sends: begin, any number of blocks, rest, end.
 
-    For every sample k come, in this order, the events before its time, BenchState, the trace of the
-    contact before its time, and when k is a multiple of ``state_rate / rate`` the clock and the
-    periodic messages.  Nothing depends on how the run is cut into blocks.
+    For every sample k the order is: the events before its time, BenchState, the trace of the
+    contact before its time.  If k is a multiple of ``state_rate / rate``, clock and periodic
+    messages follow.  Nothing depends on how the run is divided into blocks.
     """
 
     publisher = topics.SIMULATOR

@@ -267,12 +267,12 @@ class Bag(RecordedTopics):
 
     @cached_property
     def clock(self) -> Clock:
-        """The release, and the clocks that times count from it by.
+        """The release, and the clocks by which times count from it.
 
-        That is the given release, else that of a simulated run, else that of the launcher's
-        command, by its stamp or by its arrival, else the announcement of the trial, else the
-        first pose, else the first message.  RecordingError if the given release is not between the
-        first and the last pose.
+        The release is the first of these that exists: the given release; that of a simulated run;
+        the launcher's command, by its stamp or by its arrival; the announcement of the trial; the
+        first pose; the first message.  RecordingError if the given release is not between the first
+        and the last pose.
         """
         motion = (CHASER_POSE, CHASER_ODOMETRY, TARGET_POSE, TARGET_ODOMETRY, BENCH_STATE)
         release = self._logged(LAUNCH_COMMAND)

@@ -48,12 +48,12 @@ def stem_of(path: Path) -> str:
 
 
 def bag_files(path: Path) -> BagFiles:
-    """Return the files of a bag; for a file that file alone.
+    """Return the files of a bag; for a single file, that file.
 
-    In a folder they are those that ``metadata.yaml`` lists, then those whose number continues
-    theirs: a recorder that was killed has not listed its last one.  Without a readable
-    ``metadata.yaml`` they are all files, by number.  A copy of another file is left out.
-    RecordingError if the folder contains none.
+    In a folder these are the files in ``metadata.yaml``, then files that continue their numbers: a
+    recorder that was killed has not listed its last file.  Without a readable ``metadata.yaml``
+    they are all files, by number.  A copy of another file is left out.  RecordingError if the
+    folder contains no file.
     """
     if not path.is_dir():
         return BagFiles((path,), {})

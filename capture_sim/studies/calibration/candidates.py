@@ -1,8 +1,8 @@
-"""Score tests: what the model lacks, by the gain of one more parameter at the optimum.
+"""Score tests: effects that the model lacks, by the gain of one more parameter at the optimum.
 
-Of each candidate the derivative of the residuals is computed, less the part that the fitted
-parameters explain; its gain is the decrease of chi2 with all others readjusted, in the linear
-model (Rao, 1948).
+For each candidate the derivative of the residuals is computed, without the part that the fitted
+parameters explain.  Its gain is the decrease of chi2 if all parameters are adjusted again, in the
+linear model (Rao, 1948).
 """
 
 from __future__ import annotations

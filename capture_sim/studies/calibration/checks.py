@@ -1,8 +1,8 @@
-"""What a fit claims, tested: searches that agree, trials that agree, residuals that are noise.
+"""Tests of a fit: whether searches agree, trials agree, and residuals are noise.
 
-A false minimum looks fine by itself: its predicted decrease is small and its chi2 is that of noise.
-What shows it are restarts, trials that disagree, and residuals whose means over 30 ms are not those
-of noise.
+A false minimum alone looks fine: its predicted decrease is small, and its chi2 is that of noise.
+It is revealed by restarts, by trials that disagree, and by residuals whose means over 30 ms exceed
+those of noise.
 """
 
 from __future__ import annotations

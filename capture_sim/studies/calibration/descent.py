@@ -1,9 +1,9 @@
-"""The search: over a growing horizon, by Levenberg and Marquardt's steps, with restarts.
+"""The search: Levenberg and Marquardt's steps over a growing horizon, with restarts.
 
-The first contact decides all that follows it, and a fit of the whole trial from values that are
-some percent off ends in one of many false minima of the chatter.  So the fit runs to times before
-the first contact, then to a few hundredths of a second after it, and so on; each is near enough to
-the next.
+The first contact determines all motion after it.  A fit of complete trials from values that are
+wrong by some percent ends in one of many false minima of the chatter.  So the fit first covers
+times before the first contact, then a few hundredths of a second after it, and so on; each result
+is close enough to the next.
 """
 
 from __future__ import annotations
@@ -210,11 +210,11 @@ def grow(
     rng: np.random.Generator,
     keep: Callable[[Problem, Linear], None] = lambda part, at: None,
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the place after fits over a growing horizon, and the last covariance.
+    """Return the coordinates after fits over a growing horizon, and the last covariance.
 
-    Where the fit to a longer time does not explain what was added, the chatter has several minima
-    there: the search begins again from draws of the shorter fit, and then goes on in half the step.
-    ``keep`` is called with each state of the search.
+    If the fit over a longer time does not explain the added measurements, the chatter has several
+    minima there.  The search then starts again from draws of the shorter fit, and continues in half
+    the step.  ``keep`` is called with each state of the search.
     """
     prior = weak_prior(problem, begin)
     stage = _Stage(first_place(problem, begin), None, 0.0, 0)
@@ -353,8 +353,8 @@ def _apart(best: EndedSearch, other: EndedSearch, shared: int) -> tuple[float, f
 def sigma_of(problem: Problem, at: Linear) -> list[dict[str, np.ndarray]]:
     """Return the noise of each channel of each trial, from first differences of the residuals.
 
-    Third differences of what was measured read up to a tenth high where samples are not evenly
-    spaced, and hide that a fit is false.
+    Third differences of the measurements are up to 10 % too large if samples are not evenly spaced,
+    and then hide a false fit.
     """
     found = []
     for trial, one in zip(problem.trials, at.shown, strict=True):

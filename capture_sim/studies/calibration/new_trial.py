@@ -1,7 +1,7 @@
-"""Does a new trial agree with a calibrated bench?  Its noise, parameters and placement, apart.
+"""Agreement of a new trial with a calibrated bench: noise, parameters and placement apart.
 
-The trial's own start and release are fitted with the calibrated values; then the linear model says
-how far the parameters would move, and what is left of the residuals.
+The trial's own start and release are fitted with the calibrated values.  The linear model then
+gives the shift of the parameters, and the residuals that remain.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""A trial: what was measured of it up to the first hold, and what the bench would have shown.
+"""A trial for the fit: its measurements up to the first hold, and the corresponding simulation.
 
-A bench has no place on the floor: a common translation and rotation of both vehicles moves all
-poses exactly, and the release and the delays of sensors shift times, whose effect the rates give.
-So of the seven numbers that each trial has of its own, three need simulations: the place of the
-target relative to the chaser.
+The position of a bench on the floor has no effect: a common translation and rotation of both
+vehicles moves all poses exactly.  The release and the delays of sensors shift times, and the rates
+give the effect.  So of the seven numbers that belong to each trial, only three need simulations:
+the target's pose relative to the chaser.
 """
 
 from __future__ import annotations
