@@ -1,10 +1,10 @@
 """The capture detector for measurements: one pipeline from messages to statuses.
 
-measurements -> sequencer (order of stamps) -> gates (poses that a vehicle can have had) -> aligner
+measurements -> sequencer (order of stamps) -> gates (rejection of impossible poses) -> aligner
 (common instants) -> smoother (path of the tip) -> criteria -> statuses.
 
-Behind the sequencer everything is a function of stamps and values, so the live detector and
-`capture-sim detect` give the same statuses for the same messages.
+After the sequencer, every result depends only on stamps and values, not on arrival times.  The
+live detector and `capture-sim detect` therefore give the same statuses for the same messages.
 """
 
 from __future__ import annotations
@@ -49,49 +49,53 @@ from capture_sim.dynamics.model.trig import wrapped_angle
 from capture_sim.scene.geometry import tip_motion
 from capture_sim.scene.parts import Scene
 
-#: Number of measurements of the buffer that are averaged if a single one is too noisy.
+#: Number of buffer measurements that are averaged if a single measurement is too noisy.
 _N_AVERAGED = 12
-#: Deflection of a pushed buffer in standard deviations: a single measurement of many decides.
+#: Standard deviations by which a deflection must exceed ``max_contact_gap`` to count as a push.
+#: The number is large because any single measurement of a run may decide.
 BUFFER_GUARD = 6.0
-#: If speeds are noisy, rest is also evaluated over this many ``still_time``.
+#: With noise, rest is also evaluated over this multiple of ``still_time``.
 _LONGEST_REST = 4.0
-#: A source whose last stamp is older than the others' by this is reported, ns.
+#: A source is reported if its latest stamp is older than the newest stamp by more than this, ns.
 STALE = 2_000_000_000
-#: Period of the comparison of the sources' clocks, ns (wall).
+#: Period of the comparison of the sources' clocks, ns of arrival time.
 _CLOCK_PERIOD = 100_000_000
-#: Times are counted from a multiple of this, ns: small numbers, equal whenever a trial begins.
+#: Times are counted from a multiple of this, ns.  They are then small numbers, and a stamp gives
+#: the same time whenever the trial begins.
 _EPOCH = 1_000_000_000_000
 
-# a few hundred measurements a second: not worth compiled functions of their own
+# a few hundred measurements a second do not justify compiled functions
 _tip_motion, _decide, _note_push = plain(tip_motion), plain(decide), plain(note_push)
 _enter, _wall_gap, _decide_at_end = plain(enter), plain(wall_gap), plain(decide_at_end)
 _wrapped_angle = plain(wrapped_angle)
 
 
 class CaptureDetector:
-    """Follows one run, as it is measured, to a verdict; see docs/detection.md.
+    """Detector that evaluates one measured run up to its verdict; see docs/detection.md.
 
-    Measurements may be noisy, wrong, missing, late and in any order between the sources.  With
-    noise the path is smoothed: then a status is about an instant up to ``detector.max_delay``
-    before, and decisions allow for the remaining noise.
+    Measurements may be noisy, wrong, missing or late, and in any order between the sources.  With
+    noise, the path of the tip is smoothed.  A status then describes an instant up to
+    ``detector.max_delay`` earlier, and decisions allow for the remaining noise.
 
     Parameters
     ----------
     scene
         Geometry of buffer and cone, and the criteria.
     is_released
-        True if the run begins with the chaser's release, as simulated ones do.  Otherwise nothing
+        True if the run begins with the chaser's release, as simulated runs do.  Otherwise nothing
         is evaluated before the tip has approached BE by ``detector.capture_radius``.
     zero
-        Stamp of t = 0 of the statuses, ns; None: a multiple of 1000 s before the first stamp.
+        Stamp of t = 0 of the statuses, ns.  None: the last multiple of 1000 s before the first
+        stamp.
     reorder
-        Messages of a source may be overtaken by later ones of the source by up to this, ns; every
-        decision waits for it.  0: they come in the order of their stamps, as from the simulator.
+        Largest difference of stamps, ns, between messages of one source that arrive in the wrong
+        order.  Every decision waits this long.  0: the messages of each source arrive in the order
+        of their stamps, as from the simulator.
     last
-        No later instant is evaluated, s.
+        Time of the last instant that is evaluated, s.
     max_speed
-        Largest relative speed of the vehicles at an impact, m/s, for the gate; None: by the plan of
-        the scene's launch.
+        Largest relative speed of the vehicles at an impact, m/s, for the gate.  None: computed
+        from the launch plan of the scene.
     """
 
     def __init__(
@@ -105,10 +109,10 @@ class CaptureDetector:
         max_speed: float | None = None,
     ) -> None:
         part = scene.detector
-        #: Measurements received and not used, by source and reason.
+        #: Numbers of measurements received by source, and of those rejected by source and reason.
         self.counts = Counts()
-        #: The source whose clock differs from the others' by more than :data:`WARN_OFFSET`, and
-        #: by how much, s; None if none does.
+        #: Source whose clock differs most from the other clocks, and the difference, s.  None if
+        #: the difference does not exceed :data:`WARN_OFFSET`.
         self.clock_offset: tuple[Source, float] | None = None
         #: Stamp of t = 0 of the statuses, ns.
         self.zero = 0 if zero is None else zero
@@ -123,10 +127,10 @@ class CaptureDetector:
         }
         self._max_speed = largest_speed(scene) if max_speed is None else max_speed
         self._aligner = Aligner(part.max_data_gap, self.counts)
-        self._t_buffer = -math.inf  # s, the last measurement of the buffer
+        self._t_buffer = -math.inf  # s, time of the last buffer measurement
         self._scene = scene
         self._criteria = Criteria.of(scene)
-        # what cameras show of a bench for a moment only may be wrong
+        # on a real bench, a position that cameras report only briefly may be wrong
         self._outside_time = 0.0 if is_released else self._criteria.dwell
         memory = new_memory(has_approached=is_released)
         fields = zip(memory.dtype.names or (), *memory.tolist(), strict=True)
@@ -138,7 +142,7 @@ class CaptureDetector:
             gap=part.max_data_gap,
             keep=_LONGEST_REST * part.min_still_time,
         )
-        self._place: Place | None = None  # the last that was evaluated
+        self._place: Place | None = None  # last evaluated position of the tip
         self._closest = ClosestApproach()
         self._t_rest_end = -math.inf  # s, the last instant before the approach
         self._t_gap_end = -math.inf  # s, the first instant after the last gap
@@ -149,12 +153,12 @@ class CaptureDetector:
 
     @property
     def delay(self) -> float:
-        """Present delay between an instant and its evaluation, s; 0 without noise."""
+        """Present delay between an instant and its evaluation, s; 0 if there is no noise."""
         return self._path.half_window
 
     @property
     def behind(self) -> float:
-        """Time from the last instant that was evaluated to the newest measurement, s.
+        """Time from the last evaluated instant to the newest measurement, s.
 
         NaN if nothing was evaluated.
         """
@@ -165,12 +169,12 @@ class CaptureDetector:
 
     @property
     def clocks_differ(self) -> bool:
-        """True if the sources' clocks differ by too much for a verdict."""
+        """True if a source's clock offset exceeds :data:`MAX_OFFSET`, which prevents a verdict."""
         return self.clock_offset is not None and abs(self.clock_offset[1]) > MAX_OFFSET
 
     @property
     def warnings(self) -> list[str]:
-        """Present warnings for an operator, one line each."""
+        """Present warnings for the operator, one line each."""
         lines = []
         if self.clock_offset:
             source, lead = self.clock_offset
@@ -198,12 +202,12 @@ class CaptureDetector:
         Parameters
         ----------
         source, values
-            See :class:`Source`.
+            Source and its values, see :class:`Source`.
         stamp
-            ns.
+            Time stamp, ns.
         arrival
-            Time of arrival, ns by any clock; None if it shows nothing about the source's clock, as
-            in a simulation.
+            Time of arrival, ns by any clock.  None if the arrival gives no information about the
+            source's clock, as in a simulation.
         """
         if arrival is not None:
             self._clocks.add(source, stamp, arrival)
@@ -218,10 +222,17 @@ class CaptureDetector:
     def finish(self, *, cut: bool = False, has_end: bool = True) -> list[CaptureStatus]:
         """Close the run; return the remaining statuses, ending with the final one.
 
-        The last status is at the last measurement: a verdict, or undecided.  It is final, unless a
-        run that was cut has no verdict.  If nothing was measured, its numbers are NaN and its time
-        is the earliest stamp.  ``cut`` is True if the run was ended early.  ``has_end`` is False
-        for a recording without the end of its run, where a moving tip proves nothing.
+        The last status belongs to the last measurement; its state is a verdict or undecided.  It
+        is final unless the run was cut before a verdict.  If nothing was measured, the measured
+        quantities are NaN and the time is the earliest stamp.
+
+        Parameters
+        ----------
+        cut
+            True if the run was ended early.
+        has_end
+            False for a recording that lacks the end of its run.  A tip that still moves at the end
+            of such a recording gives no verdict.
         """
         remaining = self._take(self._sequencer.finish())
         if not self.clocks_differ:
@@ -246,17 +257,17 @@ class CaptureDetector:
             pass
         elif self.clocks_differ:
             self._blame_clocks()
-        elif last is None:  # too few measurements to know the noise, and so an approach
+        elif last is None:  # too few measurements to estimate the noise and detect an approach
             memory.state, memory.cause = CaptureState.UNDECIDED, Cause.NOT_APPROACHED
             memory.since = self._last[0].t
         elif self._state <= CaptureState.CONTACT:
             if last.size > 1:
-                # the end of a fit is its least certain position: fit the last second once more
+                # a fit is least accurate at its end, so fit the last still_time once more
                 end = self._path.fit(last.t, last.t - self._criteria.still_time, last.t, 1)
                 memory.outwards = end.axial * end.axial_rate + end.lateral * end.lateral_rate
                 memory.speed = math.hypot(end.axial_rate, end.lateral_rate)
                 memory.distance = math.hypot(end.axial, end.lateral)
-            # a source that stopped before the end: the rest of the run is unknown
+            # if a source stopped before the end, the rest of the run is unknown
             newest = self._sequencer.newest
             is_blind = newest is not None and self._seconds(newest) - last.t > self._path.gap
             lacks_end = not has_end and (cut or memory.speed >= self._criteria.still_speed)
@@ -270,7 +281,7 @@ class CaptureDetector:
     def update(self, observation: Observation) -> CaptureStatus:
         """Add measurements of all sources at one instant, later than the last; return the status.
 
-        This is the part of the pipeline behind gates and aligner.
+        This is the part of the pipeline after the gates and the aligner.
         """
         tip = self._tip(observation)
         if self._last is None:
@@ -291,7 +302,7 @@ class CaptureDetector:
         return CaptureState(int(self._memory.state))
 
     def _set_epoch(self, first: int) -> None:
-        """Let times count from near the first stamp, as floats are exact to 1 ns only there."""
+        """Set the origin of times near the first stamp, where floats resolve 1 ns."""
         if not self._has_zero:
             self.zero = self._epoch = first // _EPOCH * _EPOCH
         elif abs(first - self.zero) > _EPOCH:
@@ -301,7 +312,7 @@ class CaptureDetector:
         return (stamp - self._epoch) / 1e9
 
     def _take(self, measurements: list[Measurement]) -> list[CaptureStatus]:
-        """Pass measurements in the order of their stamps through gates and aligner."""
+        """Pass measurements, in the order of their stamps, through the gates and the aligner."""
         if self.clocks_differ:
             self._withheld += measurements
             return []
@@ -335,16 +346,16 @@ class CaptureDetector:
 
     @property
     def _corner_time(self) -> float:
-        """Length by which a parabola shortens the corner of a hit in the path, m per m/s.
+        """Length that a fitted parabola cuts off the corner of a hit in the path, m per m/s.
 
-        That is 3/16 of the change of velocity times the window.
+        The length is 3/16 of the change of velocity times the window.
         """
         return 3.0 / 16.0 * 2.0 * self._path.half_window
 
     def _evaluate(self, place: Place) -> None:
         """Evaluate the criteria at the next place of the tip."""
         if not (self._memory.has_approached or self._path.knows_noise):
-            return  # noise would be taken for an approach
+            return  # noise could be mistaken for an approach
         if not self._memory.has_approached:
             self._t_rest_end = place.t
         before = self._place
@@ -354,25 +365,25 @@ class CaptureDetector:
         self._note_jump(place)
         criteria, is_still = self._criteria, False
         if place.size > 1 and self._state <= CaptureState.CONTACT:
-            # the mean speed over a longer time is known better
+            # the mean speed over a longer time has a smaller standard deviation
             for times in (1.0, _LONGEST_REST):
                 begin = place.t - times * criteria.still_time
                 if begin < max(self._t_rest_end, self._t_gap_end):
-                    break  # it includes the rest before the release, or a gap
+                    break  # the interval includes the rest before the release, or a gap
                 speed, deviation = self._path.rate_over(begin, place.t)
                 is_still = is_still or speed + GUARD * deviation < criteria.still_speed
         _decide(criteria, self._memory, place, is_still, self._corner_time, self._outside_time)
         self._note_closest(place)
         passed = self._memory.cause in (Cause.PASSED_THROAT, Cause.PASSED_BESIDE)
         if before is not None and is_after_gap and passed and self._memory.since == place.t:
-            # it passed BE in the gap: when is interpolated, as the place of the crossing is
+            # the tip passed BE in the gap: interpolate the time, as decide does the position
             share = before.axial / (before.axial - place.axial)
             self._memory.since = before.t + share * (place.t - before.t)
         self._doubt_miss()
         self._place = place
 
     def _note_closest(self, place: Place) -> None:
-        """Update the closest approach, and name it in the reason of a verdict that came of it."""
+        """Update the closest approach; store it for the reason of a verdict that refers to it."""
         memory = self._memory
         if not memory.has_approached:
             self._closest = ClosestApproach()  # the approach has not begun
@@ -384,7 +395,7 @@ class CaptureDetector:
             memory.value, _ = self._closest.estimate
 
     def _note_jump(self, place: Place) -> None:
-        """End the evaluation if a vehicle has jumped to a new place during the trial."""
+        """Set the state to undecided if a vehicle has jumped to a new position during the trial."""
         memory, before = self._memory, -math.inf if self._place is None else self._place.t
         for gate in self._gates.values():
             jump = gate.jump
@@ -397,7 +408,7 @@ class CaptureDetector:
                 _enter(memory, CaptureState.UNDECIDED, Cause.JUMPED, jump.t, jump.distance)
 
     def _note_gap(self, before: Place, after: Place) -> None:
-        """Note that the tip's path between two positions is unknown."""
+        """Record that the tip's path between two positions is unknown."""
         memory, criteria = self._memory, self._criteria
         memory.zone_since = memory.still_since = memory.outside_since = math.nan
         self._t_gap_end = after.t
@@ -414,7 +425,7 @@ class CaptureDetector:
             self._is_contact_unseen = True
 
     def _doubt_miss(self) -> None:
-        """Turn a miss into undecided if the tip may have met the cone in a gap."""
+        """Change a miss to undecided if the tip may have touched the cone in a gap."""
         memory = self._memory
         is_doubtful = memory.cause in (Cause.MOVED_AWAY, Cause.END_NOT_APPROACHING)
         if self._is_contact_unseen and self._state is CaptureState.MISSED and is_doubtful:
@@ -423,7 +434,7 @@ class CaptureDetector:
             )
 
     def _pushed(self) -> bool:
-        """Update the buffer's noise while it is at rest; return True if it has been pushed."""
+        """Update the noise of the buffer at rest; return True if the buffer has been pushed."""
         if len(self._buffer) >= 4:
             four = list(self._buffer)[-4:]
             weights = third_difference([t for t, _, _ in four])
@@ -432,14 +443,14 @@ class CaptureDetector:
         return self._is_pushed([(stroke, torsion) for _, stroke, torsion in self._buffer])
 
     def _is_pushed(self, values: list[tuple[float, float]]) -> bool:
-        """Return True if the last of these strokes (m) and torsions (rad) show a push."""
+        """Return True if the last of these pairs of stroke (m) and torsion (rad) show a push."""
         if not self._buffer_noise[0].known:
             return False
         limit, arm = self._criteria.contact_gap, self._criteria.rest_length
         stroke, torsion = values[-1]
         scatter = max(self._buffer_scatter())
         if BUFFER_GUARD * scatter >= limit:
-            # a single measurement is too noisy: take the mean of several
+            # a single measurement is too noisy, so use the mean of several
             if len(values) < _N_AVERAGED:
                 return False
             stroke, torsion = (mean(column) for column in zip(*values[-_N_AVERAGED:], strict=True))
@@ -447,12 +458,12 @@ class CaptureDetector:
         return max(abs(stroke), abs(torsion) * arm) > limit + BUFFER_GUARD * scatter
 
     def _buffer_scatter(self) -> tuple[float, float]:
-        """Return the contribution of the buffer's noise to the tip's noise, m."""
+        """Return the axial and lateral standard deviations of the tip due to buffer noise, m."""
         stroke, torsion = (noise.deviation for noise in self._buffer_noise)
         return stroke, torsion * self._criteria.rest_length
 
     def _quantisation_noise(self) -> float:
-        """Return the standard deviation of the tip from the steps of quantised poses, m."""
+        """Return the standard deviation of the tip due to the steps of quantised poses, m."""
         (chaser, chaser_turn), (target, target_turn) = (
             self._gates[source].resolution for source in _POSES
         )

@@ -1,7 +1,7 @@
-"""The detector for exact samples: the criteria in compiled code, a block of samples at a time.
+"""The detector for exact samples: compiled code evaluates the criteria for a block of samples.
 
-Poses and buffer of a simulated run are known exactly, at common instants: of the pipeline in
-:mod:`capture_sim.detection.detector` only the criteria remain.
+Poses and buffer of a simulated run are known exactly, at common instants.  Of the pipeline in
+:mod:`capture_sim.detection.detector`, only the criteria are therefore needed.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from capture_sim.scene.parts import Scene
 
 _STATES = tuple(CaptureState)
 _decide_at_end = plain(decide_at_end)
-#: The same with fields as attributes, for Python.
+#: Type of MEMORY with its fields as attributes, for Python code.
 _MEMORY_BY_NAME = np.dtype((np.record, MEMORY))
 _NUMBERS = (
     *("t", "distance", "axial_offset", "lateral_offset", "relative_attitude", "relative_speed"),
     *("nearest_distance", "time_in_state"),
 )
-#: A status in numbers.
+#: Type of a status with its numbers only.
 ROW = np.dtype(
     [("state", "i8"), ("cause", "i8"), ("value", "f8"), *((name, "f8") for name in _NUMBERS)]
 )
@@ -60,9 +60,9 @@ _FIRST_ROW = _first_row()
 def follow(criteria, memories, samples, y, rows, to_verdict):
     """Evaluate the criteria at each sample; return the number of samples used.
 
-    All samples are used, or, with ``to_verdict``, those up to the verdict.  Fills ``rows`` of
-    dtype ROW with the statuses; the last row is overwritten if there are more samples than rows.
-    ``y`` (16,) is work space for a state.
+    With ``to_verdict``, evaluation stops at the sample that gives the verdict; otherwise all
+    samples are used.  The function writes the statuses to ``rows`` of dtype ROW and overwrites
+    the last row if there are more samples than rows.  ``y`` (16,) is work space for a state.
     """
     memory, c = memories[0], criteria
     for k in range(samples.size):
@@ -92,12 +92,12 @@ def follow(criteria, memories, samples, y, rows, to_verdict):
 
 
 class Statuses(Sequence[CaptureStatus]):
-    """The statuses of a run, from numbers in one array; each becomes an object when it is read.
+    """The statuses of a run, stored as one array and converted to objects on access.
 
     Attributes
     ----------
     rows
-        (n,) of dtype ROW, one for each sample and one for the end of the run.
+        (n,) of dtype ROW: a row for each sample and a row for the end of the run.
     """
 
     def __init__(self, rows: np.ndarray, criteria: Criteria, last: CaptureStatus) -> None:
@@ -127,21 +127,24 @@ class Statuses(Sequence[CaptureStatus]):
         yield self._last
 
     def __eq__(self, other: object) -> bool:
-        """Compare with the statuses of another run, or with a list of statuses."""
+        """Return True if another sequence contains equal statuses, e.g. those of another run."""
         return isinstance(other, Sequence) and list(self) == list(other)
 
     __hash__ = None  # type: ignore[assignment]
 
 
 class _Words:
-    """Turns rows of numbers into statuses; the last reason is kept, as most rows have the same."""
+    """Converter of rows to statuses; it caches the last reason, which most rows share."""
 
     def __init__(self, criteria: Criteria) -> None:
         self._criteria = criteria
         self._last = ((-1, 0.0), "")
 
     def status(self, row: Any, *, is_over: bool = False) -> CaptureStatus:
-        """Return the status of a row, a tuple of the fields of ROW; ``is_over``: it is final."""
+        """Return the status of a row, a tuple of the fields of ROW.
+
+        ``is_over`` marks the status as final, whatever its state.
+        """
         state, cause, value, t, *numbers = row
         if self._last[0] != (cause, value):
             self._last = (cause, value), reason(self._criteria, cause, value)
@@ -150,14 +153,19 @@ class _Words:
 
 
 class ExactDetector:
-    """Follows one simulated run, known exactly, from the approach to a verdict.
+    """Detector that evaluates one exactly known simulated run, from the approach to a verdict.
 
-    The tip is *captured* when its centre stays within ``detector.capture_radius`` of the centre of
-    BE for ``detector.min_dwell``, or passes BE inside the throat; it has *rebounded* when it
-    has been in contact and then retreats by ``detector.min_retreat`` from its nearest approach;
-    *missed* when it does so without contact or passes BE outside the throat; it is *stuck*
-    when it is at rest for ``detector.min_still_time`` outside the radius.  A run that ends
-    before is *undecided* unless a rule of docs/detection.md applies.
+    The verdict is
+
+    - *captured* when the tip's centre stays within ``detector.capture_radius`` of the centre of BE
+      for ``detector.min_dwell``, or passes BE inside the throat,
+    - *rebound* when the tip has been in contact and then retreats by ``detector.min_retreat`` from
+      its closest approach,
+    - *missed* when the tip retreats by that distance without contact, or passes BE outside the
+      throat,
+    - *stuck* when the tip is at rest for ``detector.min_still_time`` outside the capture radius.
+
+    A run that ends before a verdict is *undecided* unless a rule of docs/detection.md applies.
 
     Parameters
     ----------
@@ -183,17 +191,17 @@ class ExactDetector:
 
     @property
     def state(self) -> CaptureState:
-        """After the samples so far."""
+        """State after the samples so far."""
         return CaptureState(int(self._memory["state"][0]))
 
     @property
     def since(self) -> float:
-        """When the state began, s since the release."""
+        """Time at which the present state began, s since the release."""
         return float(self._memory["since"][0])
 
     @property
     def axial(self) -> float:
-        """Position of the tip ahead of BE at the last sample, m."""
+        """Axial position of the tip at the last sample, m; positive ahead of BE."""
         return float(self._memory["axial"][0])
 
     @property
@@ -208,7 +216,7 @@ class ExactDetector:
         return [self._words.status(row) for row in rows.tolist()]
 
     def statuses(self, samples: np.ndarray, *, cut: bool = False, has_end: bool = True) -> Statuses:
-        """Take all samples of a run, (n,) of dtype SAMPLE, and close it as :meth:`finish` does."""
+        """Evaluate all samples of a run, (n,) of dtype SAMPLE, and close it like :meth:`finish`."""
         rows = np.zeros(samples.size + 1, ROW)
         self._follow(samples, rows[:-1], to_verdict=False)
         rows[-1:] = self._row
@@ -217,17 +225,20 @@ class ExactDetector:
         return Statuses(rows, self._criteria, last)
 
     def until_verdict(self, samples: np.ndarray) -> int:
-        """Take the next samples, (n,) of dtype SAMPLE, up to the one that brings the verdict.
+        """Evaluate the next samples, (n,) of dtype SAMPLE, until a sample gives the verdict.
 
         Returns
         -------
         int
-            How many were taken: all of them unless :attr:`final`.
+            Number of samples evaluated: all of them unless :attr:`final` becomes true.
         """
         return self._follow(samples, self._row, to_verdict=True)
 
     def to_end(self, samples: np.ndarray) -> None:
-        """Take all of the next samples, (n,) of dtype SAMPLE; :meth:`finish` has the status."""
+        """Evaluate all of the next samples, (n,) of dtype SAMPLE, without returning statuses.
+
+        :meth:`finish` returns the last status.
+        """
         self._follow(samples, self._row, to_verdict=False)
 
     def _follow(self, samples: np.ndarray, rows: np.ndarray, *, to_verdict: bool) -> int:
@@ -239,16 +250,18 @@ class ExactDetector:
         return used
 
     def finish(self, *, cut: bool = False, has_end: bool = True) -> CaptureStatus:
-        """Close the run and return its last status: a verdict, or undecided.
+        """Close the run and return its last status; the state is a verdict or undecided.
 
-        The status is that of the last sample.  It is final, unless a cut run has no verdict.
+        The status belongs to the last sample.  It is final unless the run was cut before a
+        verdict.
 
         Parameters
         ----------
         cut
-            True if the run was ended before its time.
+            True if the run was ended early.
         has_end
-            False for a recording without the end of its run: a tip that moves proves nothing there.
+            False for a recording that lacks the end of its run.  A tip that still moves at the end
+            of such a recording gives no verdict.
         """
         memory, row = self._memory[0], self._row[0]
         if math.isnan(row["distance"]):

@@ -1,7 +1,7 @@
 """The simulated bench: integrates a scene and returns samples and events.
 
-The offline run and the simulator node use the same object; its results do not depend on how the
-run is divided into calls.
+The offline run and the simulator node both use :class:`Bench`.  Its results do not depend on how
+the run is divided into calls.
 """
 
 from __future__ import annotations
@@ -40,10 +40,11 @@ from capture_sim.scene.loading import check_scene
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import refuse, shown
 
-#: Entries of a trace per call into the engine: a full one costs a further call.
+#: Capacity of the trace buffer, samples per call into the engine; a full buffer costs a further
+#: call.
 _TRACE_ROOM = 1024
 
-#: Why the engine cannot continue, by its status.
+#: Reason why the engine cannot continue, for each status.
 CAUSES = {
     StepStatus.NOT_FINITE: "the state is no longer finite",
     StepStatus.STEP_TOO_SMALL: "the step fell below 1e-15 s",
@@ -76,7 +77,7 @@ class Checkpoint(NamedTuple):
     last_time: float
 
 
-#: In place of a trace that nobody asked for.
+#: Empty trace buffer, for a bench without trace.
 _NO_TRACE = np.zeros(0, SAMPLE)
 
 
@@ -90,11 +91,11 @@ class Bench:
     plan
         Launch plan; None for the plan of :func:`capture_sim.scene.loading.check_scene`.
     trace
-        True to keep the contact at the integrator's own steps, see :attr:`trace`;
-        ``scene.run.trace`` does the same.
+        True to record a sample of the contact at each integrator step, see :attr:`trace`;
+        ``scene.run.trace`` has the same effect.
     memory
-        Memory for this bench alone as long as it is used; its space for samples may be shared.
-        None for new memory.
+        Memory to reuse; None for new memory.  No other bench may use it at the same time, but its
+        space for samples may be shared.
 
     Examples
     --------
@@ -142,7 +143,10 @@ class Bench:
         self._events = [Event(EventKind.RELEASE, 0.0, q, v, detail=detail)]
 
     def _begin(self, par: np.void) -> None:
-        """Set which parts hold the bench at the release; ``par`` is of dtype PARAMETERS."""
+        """Write the state of rail, probe and supports at the release, and the end of the run.
+
+        ``par`` is of dtype PARAMETERS.
+        """
         scene, rail, mode = self.scene, self._record["rail"], self._system["mode"]
         chaser, target = scene.initial.chaser, scene.initial.target
         progress = self._record["progress"]
@@ -159,7 +163,8 @@ class Bench:
     def initial_workspace(self) -> np.ndarray:
         """Return a copy of the engine's record, (1,) of dtype WORKSPACE.
 
-        It is the state at the release if the run has not advanced yet, for programs without Python.
+        Before the first :meth:`advance`, the record is the state at the release.  A program
+        without Python can start a run from it.
         """
         return self._workspace.copy()
 
@@ -181,18 +186,22 @@ class Bench:
     def trace(self) -> np.ndarray:
         """Samples of the contact so far, one per integrator step, (n,) of dtype SAMPLE.
 
-        Empty without ``trace``.  The start of a touch, where the force is 0, is an event.
+        Empty if the bench was created without ``trace``.  The start of a touch, where the force is
+        0, is not in the trace; it is in :attr:`events`.
         """
         return self.trace_since(0)
 
     def trace_since(self, piece: int) -> np.ndarray:
-        """Return the trace from a piece on, (n,) of dtype SAMPLE; see :attr:`trace_pieces`."""
+        """Return the trace from piece number ``piece`` onwards, (n,) of dtype SAMPLE.
+
+        :attr:`trace_pieces` is the number of pieces so far.
+        """
         pieces = self._traced[piece:]
         return joined(pieces) if pieces else np.zeros(0, SAMPLE)
 
     @property
     def trace_pieces(self) -> int:
-        """Number of pieces of the trace so far."""
+        """Number of pieces of the trace so far; each call into the engine may add one."""
         return len(self._traced)
 
     @property
@@ -203,11 +212,11 @@ class Bench:
 
     @property
     def event_log(self) -> EventLog:
-        """Events so far, which become objects when they are read."""
+        """Events so far, as a log that creates each event object when it is read."""
         return EventLog(self._events, self._unread)
 
     def times_of(self, kind: EventKind) -> np.ndarray:
-        """Return the times of the events of a kind so far, (n,), s, without creating the events."""
+        """Return the times of all events of a kind so far, (n,), s; creates no event objects."""
         read = [event.t for event in self._events if event.kind is kind]
         return np.concatenate([read, *(raw["t"][raw["kind"] == int(kind)] for raw in self._unread)])
 
@@ -236,7 +245,10 @@ class Bench:
         return Extremes(before, after if self._system["mode"]["latched"] else None)
 
     def times(self, first: int, count: int) -> np.ndarray:
-        """Return the times, s, of ``count`` samples from number ``first``, up to the end."""
+        """Return the times, s, of ``count`` samples from sample number ``first``.
+
+        Times after the end of the run are left out.
+        """
         rate, t_end = self.scene.run.state_rate, self.scene.run.t_end
         t: np.ndarray = np.arange(first, first + count) / rate
         return t[t <= t_end]
@@ -260,8 +272,9 @@ class Bench:
         SceneError
             The times break one of these rules.
         SimulationError
-            The integration stopped early; the message names time, phase and cause, and ``partial``
-            has the samples up to then.  Every later call raises it again, without samples.
+            The integration stopped early.  The message names time, phase and cause, and
+            ``partial`` has the samples up to then.  Every later call raises the same message,
+            without samples.
         """
         times = check_times(times, self._last_time)
         if self._fatal is not None:
@@ -274,9 +287,10 @@ class Bench:
         return self._advance(times)
 
     def finish(self, times: np.ndarray) -> np.ndarray:
-        """Run from the release to the end like :meth:`advance`, for many runs with the same times.
+        """Run from the release to the end and return the samples, as :meth:`advance` does.
 
-        ``times`` comes from :func:`to_the_end` and ascends from 0 or later; this is not checked.
+        For many runs with the same times: the times are not checked.  ``times`` must be a result of
+        :func:`to_the_end`, ascending from 0 or later.
         """
         self._last_time = math.inf
         return self._advance(times)
@@ -300,7 +314,7 @@ class Bench:
                 raise self._failure(StepStatus(int(progress["status"])), samples[:served])
 
     def start_at(self, q: np.ndarray, v: np.ndarray) -> None:
-        """Begin at rates ``v`` (8,) in coordinates ``q`` (8,), free of rail and string.
+        """Start from coordinates ``q`` (8,) and rates ``v`` (8,), without rail and string.
 
         Call this before the first :meth:`advance`.
         """
@@ -313,10 +327,10 @@ class Bench:
         rail["speed"] = 0.0
 
     def drive_tip(self, wrench: Sequence[float], until: float) -> None:
-        """Apply a wrench to the tip, about its centre, and pause the run at a time (s).
+        """Apply a wrench at the tip's centre, and pause the run at the time ``until`` (s).
 
-        ``wrench``: force (N) in the target's axes and torque (N m).  It acts until the latch
-        closes.  ``advance([until])`` goes up to the pause; then call this method again.
+        ``wrench``: force (N, N) in the target's axes and torque (N m).  It acts until the latch
+        closes.  ``advance([until])`` runs up to the pause; then call this method again.
         """
         mode, step = self._system["mode"], self._record["step"]
         mode["driven"], mode["wrench"] = 1, wrench
@@ -331,17 +345,18 @@ class Bench:
         *,
         timeouts: Sequence[float] = (0.0, 0.0),
     ) -> None:
-        """Hold a wrench on each vehicle, and pause the run at a time (s).
+        """Hold a wrench on each vehicle, and pause the run at the time ``until`` (s).
 
         ``chaser`` and ``target``: force (N, N) and moment (N m) in the vehicle's own axes, at its
-        centre of mass.  ``advance`` goes up to the pause at most; then call this method again.
-        ``timeouts`` (s), for the events of a wrench that has ended for want of a command.
+        centre of mass.  ``advance`` runs at most up to the pause; then call this method again.
+        ``timeouts`` (s), for chaser and target: the timeout that ended the vehicle's wrench, else
+        0.  The event at the end of the wrench reports this timeout.
 
         Raises
         ------
         SceneError
             A number is not finite, the chaser is on its rail, the run is neither at its release
-            nor at a pause, or the time has passed.
+            nor at a pause, or ``until`` is not after the present time.
         """
         mode, step = self._system["mode"], self._record["step"]
         wrench = np.array([*chaser, *target], dtype=float)
@@ -369,12 +384,12 @@ class Bench:
 
     @property
     def is_on_rail(self) -> bool:
-        """True while the chaser is on its rail, where nothing else may push it."""
+        """True while the chaser is on its rail, where thrust is not permitted."""
         return bool(self._record["rail"]["on"])
 
     @property
     def t(self) -> float:
-        """Time up to which the run has been integrated, s; a pause is such a time."""
+        """Time up to which the run has been integrated, s; at a pause, the time of the pause."""
         return float(self._record["step"]["t0"])
 
     def _log_thrust(self, wrench: np.ndarray, timeouts: Sequence[float]) -> None:
@@ -392,9 +407,9 @@ class Bench:
             self._unread.append(event)
 
     def _scale_errors(self, wrench: np.ndarray) -> None:
-        """Let vehicles that start from rest have errors of the speed that this thrust gives them.
+        """Raise the speed scale of the error control to the speed that this thrust causes.
 
-        It is the speed after a path of the tip's radius.
+        This is the speed of a vehicle that starts from rest, after a path of the tip's radius.
         """
         par = self._system["par"]
         arm, at_target = par["a"] + par["h_0"], par["L_T"] + par["R_c"]
@@ -415,23 +430,24 @@ class Bench:
     ) -> None:
         """Replace the contact of both walls by F = delta^exponent (stiffness + chi delta').
 
-        ``offset`` (m) moves the walls towards the tip, which must not touch them now.  ``mu`` and
-        ``v_eps`` (m/s) are parameters of the friction law "tanh".  Without stiffness nothing acts.
+        ``offset`` (m) moves the walls towards the tip, which must not touch a wall at this time.
+        ``mu`` and ``v_eps`` (m/s) are parameters of the friction law "tanh".  With a ``stiffness``
+        of 0 the walls do not act.
         """
         par = self._system["par"]
         par["contact"], par["chi"], par["hysteresis"] = power_law(stiffness, exponent)[0], chi, 0.0
-        par["R_t"] = self.scene.probe.tip_radius + offset  # the same gap
+        par["R_t"] = self.scene.probe.tip_radius + offset  # a larger tip: the gap is the same
         par["mu"], par["inverse_v_eps"] = mu, 1.0 / v_eps
         par["friction_law"] = FrictionLaw.TANH
         self._record["step"]["start_measured"] = 0
 
     def saved(self) -> Checkpoint:
-        """Return the state, for :meth:`restore` of this bench or of another one of this scene."""
+        """Return the state, for :meth:`restore` of this bench or of another bench of this scene."""
         record = self._workspace.view(np.uint8)[:STATE_BYTES].copy()
         return Checkpoint(record, len(self._unread), self._last_time)
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Go back to a saved state; events since then that were not read are forgotten."""
+        """Return to a saved state; discard events since then that have not been read."""
         self._workspace.view(np.uint8)[:STATE_BYTES] = checkpoint.record
         del self._unread[checkpoint.n_unread :]
         self._last_time, self._fatal = checkpoint.last_time, None

@@ -1,4 +1,4 @@
-"""A bench driven to its end, piece by piece."""
+"""Run a bench to its end, piece by piece, with or without a controller of its thrusters."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from capture_sim.errors import SceneError, SimulationError
 from capture_sim.scene.parts import Thruster, Thrusters
 from capture_sim.scene.quantities import LARGEST, refuse
 
-#: Samples of one call into the engine; the overhead of a call is negligible.
+#: Samples per call into the engine; with this number the overhead of a call is negligible.
 BLOCK = 4096
 
 
 @dataclass(frozen=True)
 class Block:
-    """One piece of a run: the samples, trace and events since the piece before."""
+    """One piece of a run: the samples, trace and events since the previous piece."""
 
     samples: np.ndarray  # (n,) of dtype SAMPLE
     trace: np.ndarray  # (k,) of dtype SAMPLE, empty without trace
-    failure: SimulationError | None  # if the run stopped early, in its last piece
+    failure: SimulationError | None  # in the last piece of a run that stopped early
     _bench: Bench
     _events: slice
 
@@ -45,12 +45,14 @@ class Control:
     Attributes
     ----------
     command
-        Called at each of its instants with the sample there, of dtype SAMPLE; returns force (N, N)
-        and moment (N m) for the chaser and for the target, or None for no new command.
+        Function called at each control instant with the sample at this instant, of dtype SAMPLE.
+        It returns force (N, N) and moment (N m) for the chaser and for the target; None for either
+        vehicle means no new command.
     rate
-        Its rate, Hz: ``run.state_rate`` divided by a whole number; None for ``run.rate``.
+        Rate of the calls, Hz: ``run.state_rate`` divided by a whole number; None for ``run.rate``.
     as_applied
-        True for wrenches that were applied before: limits, delay, pulses and timeout act no more.
+        True to apply every wrench as it is, without limits, delay, pulses and timeout.  Use it to
+        repeat wrenches that thrusters have applied before.
 
     Examples
     --------
@@ -63,12 +65,12 @@ class Control:
     as_applied: bool = False
 
 
-#: Thrusters that apply every wrench as it is.
+#: Thrusters that apply every wrench unchanged.
 _IDEAL = Thrusters(Thruster(LARGEST, LARGEST), Thruster(LARGEST, LARGEST), timeout=1e6)
 
 
 class _Controlled:
-    """A bench whose thrusters a controller commands at its instants."""
+    """A bench with a controller that commands its thrusters at the control instants."""
 
     def __init__(self, bench: Bench, control: Control) -> None:
         scene = bench.scene
@@ -86,11 +88,14 @@ class _Controlled:
         self._count = 0  # samples so far
 
     def size(self, first: int) -> int:
-        """Return the number of samples from ``first`` up to the next instant, inclusive."""
+        """Return the number of samples from ``first`` up to and including the next instant."""
         return 1 if first == 0 else self._every
 
     def advance(self, times: np.ndarray) -> np.ndarray:
-        """Continue the run with the commands of the last sample; return samples, as a bench."""
+        """Continue the run with the commands for the last sample; return samples.
+
+        Arguments, result and errors are those of :meth:`Bench.advance`.
+        """
         bench, actuation = self._bench, self._actuation
         if self._last is not None and (self._count - 1) % self._every == 0:
             actuation.command(float(self._last["t"]), self._command(self._last))
@@ -112,7 +117,7 @@ class _Controlled:
         return samples
 
     def _up_to(self, end: float, times: np.ndarray) -> np.ndarray:
-        """Run with the wrenches of now to their next change, or to a time (s)."""
+        """Run with the present wrenches until their next change, at most to ``end`` (s)."""
         bench, actuation = self._bench, self._actuation
         begin = bench.t
         actuation.go_to(begin)
@@ -141,19 +146,22 @@ def drive(
     times
         (n,) ascending sample times, s; None for the grid of ``scene.run.state_rate``.
     block
-        Number of samples of a piece, or a function that returns it before each piece.
+        Number of samples of a piece, or a function that returns this number, called before each
+        piece.
     control
-        Controller of the scene's thrusters, called with the sample of its instant before the piece
-        that follows; pieces end at its instants, and ``times`` is the grid.
+        Controller of the scene's thrusters.  Pieces then end at its instants, and it is called with
+        the last sample of a piece before the next one starts.  ``times`` must be the grid of
+        ``scene.run.state_rate``.
 
     Yields
     ------
     Block
-        The next piece.  Nothing is computed ahead, so you can leave the loop at any piece.
+        The next piece.  It is computed when it is requested, so you can leave the loop at any
+        piece.
 
     Examples
     --------
-    Until the tip is within 10 mm of the centre of BE:
+    Run until the tip is within 10 mm of the centre of BE:
 
     >>> from capture_sim import Bench, load_scene
     >>> from capture_sim.dynamics.drive import drive

@@ -26,19 +26,7 @@ class Named(IntEnum):
 
 
 class Phase(Named):
-    """Phase of a run; each integrates only the freedoms it has.
-
-    Examples
-    --------
-    The phases of a launch by the hanging mass, and when each of them begins, s:
-
-    >>> from capture_sim import Phase, simulate
-    >>> run, begun = simulate("tilt_0"), {}
-    >>> for t, phase in zip(run.t, run.samples["phase"]):
-    ...     _ = begun.setdefault(Phase(phase).label, round(float(t), 2))
-    >>> begun
-    {'taut': 0.0, 'coast': 1.83, 'free': 2.29, 'contact': 2.79, 'latched': 2.94}
-    """
+    """Phase of a run; in each phase, only its own degrees of freedom are integrated."""
 
     HELD = 0
     TAUT = 1
@@ -49,17 +37,7 @@ class Phase(Named):
 
 
 class EventKind(Named):
-    """What happened at a located instant.
-
-    Examples
-    --------
-    When the mass landed, and when the latch closed, s:
-
-    >>> from capture_sim import EventKind, simulate
-    >>> kinds = (EventKind.LANDED, EventKind.LATCHED)
-    >>> [round(event.t, 3) for event in simulate("tilt_0").events if event.kind in kinds]
-    [1.827, 2.936]
-    """
+    """Kind of an event."""
 
     RELEASE = 0
     LANDED = 1
@@ -138,7 +116,7 @@ SAMPLE = np.dtype(
     ]
 )
 
-#: Names of the numbers of a field, by their count.
+#: Names of the components of a field, by their number.
 _MEMBERS = {
     8: COORDINATES,
     2: ("+y", "-y"),
@@ -148,11 +126,11 @@ _PLANAR = ("contact_force", "latch_force")
 
 
 def columns_of(fields: np.ndarray | Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the numbers of n samples or messages as named columns, (n,) each.
+    """Return the components of all fields of n samples or messages as named columns, (n,) each.
 
-    ``fields`` are samples (n,), or fields by name, (n,) or (n, m) each.  Examples of names are
-    ``q.x_S``, ``penetration.+y`` (a wall) and ``contact_force.x``; numbers of a field that samples
-    do not have are counted (``position.0``).
+    ``fields`` are samples (n,), or a mapping of names to fields, (n,) or (n, m) each.  Examples of
+    column names are ``q.x_S``, ``penetration.+y`` (a wall) and ``contact_force.x``.  If samples
+    have no such field, its components are numbered (``position.0``).
     """
     names = fields if isinstance(fields, Mapping) else fields.dtype.names or ()
     columns = {}
@@ -169,7 +147,7 @@ def columns_of(fields: np.ndarray | Mapping[str, np.ndarray]) -> dict[str, np.nd
     return columns
 
 
-#: The contact at the end of one of the integrator's steps; as in msg/ContactTrace.msg.
+#: State of the contact at the end of an integrator step; fields as in msg/ContactTrace.msg.
 TRACE = np.dtype(
     [
         (name, SAMPLE[name])
@@ -188,11 +166,11 @@ TOUCH = np.dtype(
         ("end", "f8"),  # s; end of the run for a touch that has not ended
         ("wall", "i8"),  # +1 or -1
         ("approach_speed", "f8"),  # m/s, along the normal, at the start
-        ("peak_force", "f8"),  # N, normal, found between steps
+        ("peak_force", "f8"),  # N, normal; maximum of the dense output, also inside steps
         ("peak_time", "f8"),  # s
         ("impulse", "f8"),  # N s, normal
         ("dissipated", "f8"),  # J, contact hysteresis
-        ("rate_ratio", "f8"),  # largest rate of penetration over the approach speed (v_0)
+        ("rate_ratio", "f8"),  # largest rate of penetration / approach speed (v_0)
     ]
 )
 
@@ -214,7 +192,7 @@ _UNITS = {name: unit for unit, names in _FIELDS_OF_UNIT.items() for name in name
 
 
 def unit_of_column(column: str) -> str:
-    """Return the unit of a column of :func:`columns_of`, e.g. ``v.theta_P``; empty without one."""
+    """Return the unit of a column of :func:`columns_of`, e.g. ``v.theta_P``; "" if it has none."""
     field, _, member = column.partition(".")
     if field in ("q", "v"):
         unit = "rad" if member.startswith("theta") else "m"
@@ -225,9 +203,9 @@ def unit_of_column(column: str) -> str:
 
 
 #: Extremes of a run: peak magnitudes of stroke inwards and outwards (m), torsion (rad), force of
-#: the axial buffer with damper, stops and seat (N), torque of the torsional one (N m), normal force
-#: of each wall (N), force of the latch (N) and penetration (m), and the smallest distance of the
-#: tip's centre to that of BE (m).
+#: the axial buffer with damper, stops and seat (N), torque of the torsional buffer (N m), normal
+#: force of each wall (N), force of the latch (N) and penetration (m), and the smallest distance
+#: between the tip's centre and the centre of BE (m).
 EXTREME_NAMES = (
     "axial_stroke_in",
     "axial_stroke_out",
@@ -248,18 +226,18 @@ EXTREMES = np.dtype([(f"{name}{end}", "f8") for name in EXTREME_NAMES for end in
 class Extremes(NamedTuple):
     """Extremes of a run, each of dtype EXTREMES, independent of the sample rate."""
 
-    before_latch: np.void  # until the latch closes; of the whole run if it never does
-    after_latch: np.void | None  # from then on
+    before_latch: np.void  # until the latch closes, or until the end if it never closes
+    after_latch: np.void | None  # since the latch closed; None if it has not closed
 
 
 @dataclass(frozen=True)
 class Event:
-    """Event at a located time; ``LIFT_OFF`` has its ``touch``, a record of dtype TOUCH."""
+    """Event at a located time; a LIFT_OFF event has its ``touch``, a record of dtype TOUCH."""
 
     kind: EventKind
     t: float  # s, since the release
     q: np.ndarray  # (8,)
     v: np.ndarray  # (8,)
-    wall: int = 0  # of a touch, lift_off, stick or slip: +1 or -1; 0: none, or unknown
+    wall: int = 0  # wall of a touch, lift_off, stick or slip: +1 or -1; 0: none, or unknown
     detail: str = ""
     touch: np.void | None = field(default=None, compare=False)

@@ -1,4 +1,4 @@
-"""What goes over topics, as data: topics, definitions, bytes.
+"""Messages on topics, as data: topics, definitions, bytes.
 
 Takes: Samples, events, statuses; or serialised messages.
 Gives: Serialised messages; or columns and ``Measurement``.

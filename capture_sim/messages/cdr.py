@@ -1,9 +1,9 @@
-"""Many serialised messages at once, as columns.
+"""Reading and writing of many serialised messages at once, as columns.
 
-A message of numbers and of texts of a fixed length has every field at a fixed place, so a
-whole topic can be read and written as one NumPy array of records.  Messages are the little-endian
-CDR (XCDR1) of ROS 2: a 4-byte encapsulation header, then every number aligned to its own
-size, counted from behind that header.
+In a message of numbers and of texts of fixed length, every field has a fixed offset.  All messages
+of a topic can therefore be read and written as one NumPy array of records.  Messages are the
+little-endian CDR (XCDR1) of ROS 2: a 4-byte encapsulation header, then every number aligned to its
+own size, counted from the end of the header.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ Columns = Mapping[str, np.ndarray]
 
 #: Bytes of the encapsulation header, from whose end fields are aligned (OMG DDSI-RTPS).
 _HEADER = 4
-#: Offset and length of a text.
+#: Offset and length of a text, bytes.
 _TextSlot = tuple[int, int]
 _LITTLE_ENDIAN = b"\x00\x01"
-#: Kinds of numbers, as they stand in a message.
+#: Serialised format of each number type of ROS.
 NUMBERS = {
     "bool": np.dtype("?"),
     **{name: np.dtype("u1") for name in ("byte", "char", "octet", "uint8")},
@@ -40,7 +40,7 @@ NUMBERS = {
     },
 }
 
-#: Fields of a message at most, those in it counted.
+#: Maximum number of fields of a message, including the fields of nested messages.
 _MAX_FIELDS = 100_000
 
 _TIME = struct.Struct("<iI")
@@ -49,7 +49,7 @@ _SEQUENCE = struct.Struct("<Q")
 
 
 def stamp_of(topic: Topic, data: bytes | memoryview) -> int | None:
-    """Return the stamp in a serialised message, ns; None when the type carries none."""
+    """Return the stamp in a serialised message, ns; None if the type has no stamp."""
     if topic.stamp is Stamp.NONE:
         return None
     sec, nanosec = _unpacked(_TIME, topic, data, _HEADER)
@@ -57,7 +57,7 @@ def stamp_of(topic: Topic, data: bytes | memoryview) -> int | None:
 
 
 def sequence_of(topic: Topic, data: bytes) -> int | None:
-    """Return ``seq`` of a serialised message; None when the type has none."""
+    """Return ``seq`` of a serialised message; None if the type has no such field."""
     if not topic.sequenced:
         return None
     (length,) = _unpacked(_LENGTH, topic, data, _HEADER + _TIME.size)  # of header.frame_id
@@ -84,10 +84,10 @@ def _unpacked(
 def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict[str, np.ndarray]:
     """Return the fields of n serialised messages of a type as columns, by path.
 
-    A path is such as ``"header.stamp.sec"``.  (n,) of numbers; (n, m) for arrays of m numbers; (n,)
-    of ``str`` objects for texts; (n,) objects for sequences of numbers whose length differs, and
-    for sequences of texts (lists of ``str``).  MessageError if a message does not fit the type, or
-    the type has a sequence of messages.
+    A path is e.g. ``"header.stamp.sec"``.  The column of a number is (n,), of an array of m numbers
+    (n, m), and of a text (n,) with ``str`` objects.  Sequences of texts are (n,) with lists of
+    ``str``; sequences of numbers whose length differs are (n,) with arrays.  MessageError is raised
+    if a message does not fit the type, or if the type has a sequence of messages.
     """
     fields: dict[str, np.ndarray] = {}
     sizes = np.fromiter((len(data) for data in messages), dtype=np.int64, count=len(messages))
@@ -109,10 +109,10 @@ def columns(store: Typestore, type_name: str, messages: Sequence[bytes]) -> dict
 
 
 class Numbers:
-    """Reads the numbers at given paths from the messages of a topic, one after another.
+    """Reader of the numbers at given paths in messages that arrive one after another.
 
-    The position of the numbers is computed again only if the lengths of a message's texts or
-    sequences differ from the message before.
+    The offsets are computed again only if the texts or sequences of a message have other lengths
+    than in the previous message.
     """
 
     def __init__(self, store: Typestore, type_name: str, *paths: str) -> None:
@@ -121,7 +121,10 @@ class Numbers:
         self._fixed, self._lengths = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
 
     def __call__(self, data: bytes) -> np.void:
-        """Return the numbers of a serialised message: by path, or ``.item()`` as a tuple."""
+        """Return the numbers of a serialised message as a record, indexed by path.
+
+        ``.item()`` of the record is a tuple of the numbers in the order of the paths.
+        """
         raw = np.frombuffer(data, dtype=np.uint8)
         fits = len(raw) == self._records.itemsize and (raw[self._fixed] == self._lengths).all()
         if not fits:
@@ -132,9 +135,10 @@ class Numbers:
 
 
 class Template:
-    """A serialised message that n messages share, with n values for each field in ``columns``.
+    """A serialised message in which the fields in ``columns`` are filled with n values each.
 
-    All messages have the same texts and lengths of sequences, so each field has a fixed position.
+    All n messages share the texts and the lengths of sequences, so a field has the same offset in
+    all of them.
     """
 
     def __init__(self, store: Typestore, message: Any, columns: Columns) -> None:
@@ -146,7 +150,7 @@ class Template:
         self._records = Layout(store, type_name, data).records
 
     def filled(self, columns: Columns) -> Iterator[bytes]:
-        """Yield the n messages with these values."""
+        """Yield the n serialised messages with the values in ``columns``."""
         n, size = len(next(iter(columns.values()))), len(self._data)
         raw = np.tile(self._data, (n, 1))
         records = raw.view(self._records)[:, 0]
@@ -158,7 +162,7 @@ class Template:
 
 
 def fill(message: Any, path: str, value: Any) -> None:
-    """Set a field of a message of rosbags' classes."""
+    """Set the field at a path in a message of rosbags' classes."""
     *parts, name = path.split(".")
     for part in parts:
         message = getattr(message, part)
@@ -169,11 +173,12 @@ def fill(message: Any, path: str, value: Any) -> None:
 
 
 class Layout:
-    """Where the fields of a message are, found by walking over it along its definition.
+    """Offsets of the fields of a message, found by parsing its bytes along its definition.
 
-    ``records``: the numbers, by path; ``texts``: offset and length of each text, a list of these
-    for a sequence; ``fixed``: offsets of the bytes that another message must share to fit.
-    MessageError if the bytes are no such message, or it has a sequence of messages.
+    ``records`` is the dtype of the numbers, by path.  ``texts`` are offset and length of each text,
+    or a list of these for a sequence.  ``fixed`` are the offsets of bytes that must be equal in
+    another message for the layout to apply to it.  MessageError is raised if the bytes are no
+    message of the type, or if the type has a sequence of messages.
     """
 
     def __init__(self, store: Typestore, type_name: str, data: bytes) -> None:
@@ -183,7 +188,7 @@ class Layout:
         self._position = _HEADER
         self._numbers: list[tuple[str, object, int]] = []  # path, format, offset
         self.texts: dict[str, _TextSlot | list[_TextSlot]] = {}
-        self._lengths: list[int] = []  # where they stand
+        self._lengths: list[int] = []  # offsets of the lengths of texts and sequences
         self._n_fields = 0
         self._message("", type_name)
         # a transport may pad a message to a multiple of 4 bytes
@@ -302,7 +307,7 @@ def _texts(raw: np.ndarray, slot: _TextSlot) -> np.ndarray:
     start, length = slot
     block = raw[:, start : start + length]
     texts = np.empty(len(raw), dtype=object)
-    if (block == block[:1]).all():  # frame names and the like: decode once
+    if (block == block[:1]).all():  # all equal, e.g. frame names: decode once
         texts[:] = block[0].tobytes().decode("utf-8", errors="replace")
     else:
         for i, row in enumerate(block):

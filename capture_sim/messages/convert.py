@@ -1,11 +1,11 @@
-"""Samples, events and statuses as serialised ROS messages.
+"""Conversion of samples, events and statuses to serialised ROS messages.
 
-What a field is filled with stands here once, as columns: of n samples a field is an array
-(n, ...), under its path in the message (``"header.stamp.sec"``).  Live and offline messages are
-made alike, from the definitions and without rclpy: many at once cost a twentieth of what its
-classes cost one by one.
+The contents of every field are defined here once, as columns.  For n samples, a field is an array
+(n, ...) under its path in the message, e.g. ``"header.stamp.sec"``.  Live and offline messages are
+made in the same way from the definitions, without rclpy.  Making many messages at once takes a
+twentieth of the time that rclpy's classes need for making them one by one.
 
-Simulated time starts at 1 s, since a stamp of zero means 'not set' to ROS tools.
+Simulated time starts at 1 s, because a stamp of zero means 'not set' to ROS tools.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ CONE_FRAME = "target/cone"
 HINGE_JOINT = "buffer_hinge"
 SLIDE_JOINT = "buffer_slide"
 
-#: Nodes and packages that a RunInfo may list, and characters of each.
+#: Maximum number of names in a list of RunInfo, and maximum number of characters of a name.
 MAX_NAMES, LONGEST_NAME = 100, 200
-#: Kinds of messages that are remembered at most: a contact's trace has any number of points.
+#: Maximum number of message templates that are kept.
 MOST_KINDS = 200
 
 #: Fields of CaptureCriteria, and the fields of a scene's ``detector`` that they report.
@@ -84,7 +84,7 @@ class LaunchAction(IntEnum):
 
 
 def stamp_ns(t: float) -> int:
-    """Return the stamp of a time since the release: ns for s."""
+    """Return the stamp, ns, of a time since the release, s."""
     return EPOCH_NS + round(t * 1e9)
 
 
@@ -95,7 +95,7 @@ def stamp_in(message: Any) -> int:
 
 
 def stamp_seconds(stamp: int) -> float:
-    """Return the time since the release of a stamp: s for ns."""
+    """Return the time since the release, s, of a stamp, ns."""
     return (stamp - EPOCH_NS) / 1e9
 
 
@@ -105,19 +105,19 @@ _LISTS = ("software", "publishers", "waived", "participants")
 
 @dataclass(frozen=True)
 class RunDescription:
-    """Everything needed to run a run again; the content of msg/RunInfo.msg."""
+    """Everything needed to repeat a run: the contents of msg/RunInfo.msg."""
 
     run_id: str  # unique to this run
-    name: str  # of the experiment
+    name: str  # name of the experiment
     scene: str  # the resolved scene, YAML
-    software: tuple[str, ...]  # ``"name version"`` each
-    state_rate: float  # of BenchState, Hz
-    rate: float  # of all other periodic topics, Hz
+    software: tuple[str, ...]  # packages, each as ``"name version"``
+    state_rate: float  # rate of BenchState, Hz
+    rate: float  # rate of all other periodic topics, Hz
     publishers: tuple[str, ...]  # roles whose StreamCounts end the run
     source: str = RunSource.SIMULATION
     announcer: str = ""  # participant that announces the run
     participants: tuple[str, ...] = ()  # nodes of the roll that the run waits for
-    note: str = ""  # the operator's, of a trial
+    note: str = ""  # the operator's note on a trial
     expected: str = ""  # verdict that the operator of a trial expects; empty: none
     waived: tuple[str, ...] = ()  # rules before the release that a laboratory waives, by name
 
@@ -133,7 +133,10 @@ class RunDescription:
         announcer: str = "",
         participants: Sequence[str] = (),
     ) -> RunDescription:
-        """Describe a run of a scene; ``software`` defaults to this process's versions."""
+        """Return the description of a run of a scene.
+
+        ``software`` defaults to the versions that this process uses.
+        """
         return cls(
             run_id=run_id,
             name=scene.name,
@@ -149,9 +152,10 @@ class RunDescription:
 
     @classmethod
     def of_message(cls, info: Any) -> RunDescription:
-        """Return the description of a run from its RunInfo, of any library.
+        """Return the description of a run from its RunInfo message, made by any library.
 
-        MessageError if a rate is none, or there are more or longer names than a bench has.
+        MessageError is raised if a rate is not positive and finite, or if a list has more than
+        :data:`MAX_NAMES` names or a name of more than :data:`LONGEST_NAME` characters.
         """
         values: dict[str, Any] = {f.name: getattr(info, f.name) for f in fields(cls)}
         for name in ("state_rate", "rate"):
@@ -174,11 +178,11 @@ class RunDescription:
         return scene_hash(self.scene)
 
 
-# what one message holds
+# fields of one message
 
 
 def bench_event(event: Event) -> dict[str, Any]:
-    """Return the fields of BenchEvent; the touch's are zero when the event ends none."""
+    """Return the fields of BenchEvent; unless the event ends a touch, the touch's fields are zero."""
     names = ("approach_speed", "peak_force", "peak_time", "impulse", "dissipated")
     touch = event.touch
     return {
@@ -194,17 +198,17 @@ def bench_event(event: Event) -> dict[str, Any]:
 
 
 def contact_trace(points: np.ndarray) -> dict[str, Any]:
-    """Return the fields of ContactTrace of points, (n,) with the fields of TRACE."""
+    """Return the fields of ContactTrace, from points (n,) with the fields of TRACE."""
     return {name: points[name] for name in TRACE.names or ()}
 
 
 def capture_criteria(run_id: str, limits: Detector) -> dict[str, Any]:
-    """Return the fields of CaptureCriteria: the limits of a run's detector."""
+    """Return the fields of CaptureCriteria: the thresholds of a run's detector."""
     return {"run_id": run_id, **{name: getattr(limits, field) for name, field in CRITERIA.items()}}
 
 
 def launch_command(run_id: str, action: LaunchAction, plan: LaunchPlan) -> dict[str, Any]:
-    """Return the fields of LaunchCommand that follows a plan."""
+    """Return the fields of LaunchCommand for an action, with the values of a launch plan."""
     names = ("hanging_mass", "drop_height", "impact_speed")
     return {
         "run_id": run_id,
@@ -213,16 +217,16 @@ def launch_command(run_id: str, action: LaunchAction, plan: LaunchPlan) -> dict[
     }
 
 
-# what n messages hold
+# columns of n messages
 
 
 def stamps_ns(t: np.ndarray) -> np.ndarray:
-    """Return the stamps (n,), ns, of times (n,), s since the release."""
+    """Return the stamps (n,), ns, of times since the release (n,), s."""
     return np.asarray(EPOCH_NS + np.rint(t * 1e9).astype(np.int64))
 
 
 def stamp_columns(path: str, stamps: np.ndarray) -> Columns:
-    """Return the columns of stamps, ns, that stand at a path."""
+    """Return the columns of stamps (n,), ns, of the field at a path."""
     sec, nanosec = np.divmod(stamps, 1_000_000_000)
     return {f"{path}.sec": sec, f"{path}.nanosec": nanosec}
 
@@ -245,7 +249,10 @@ def buffer_states(samples: np.ndarray) -> Columns:
 
 
 def contact_states(samples: np.ndarray, since: Columns) -> Columns:
-    """Return the columns of ContactState; ``since``: peak_force, impulse, touches."""
+    """Return the columns of ContactState.
+
+    ``since`` are the columns peak_force, impulse and touches since the previous message.
+    """
     names = ("walls", "penetration", "penetration_rate", "normal_force", "friction_force")
     columns = {name: samples[name] for name in names}
     return {"in_touch": samples["walls"] != 0, **columns, **since}
@@ -263,9 +270,10 @@ def string_states(samples: np.ndarray, scene: Scene) -> Columns:
 
 
 def odometry(pose: np.ndarray, rates: np.ndarray) -> Columns:
-    """Return the columns of Odometry of poses (n, 3), x, y (m) and heading (rad), and their rates.
+    """Return the columns of Odometry, from poses (n, 3), x, y (m) and heading (rad), and rates.
 
-    ``rates`` (n, 3) are in the frame of the poses, m/s and rad/s; the twist is in the body's own.
+    ``rates`` (n, 3) are in the frame of the poses, m/s and rad/s.  The twist is in the body's own
+    frame.
     """
     vx, vy, omega = rates.T
     along, across = _turned(vx, vy, pose[:, 2])
@@ -283,7 +291,10 @@ def sensed_poses(pose: np.ndarray) -> Columns:
 
 
 def contact_wrenches(samples: np.ndarray) -> Columns:
-    """Return the columns of WrenchStamped on the tip, latches included, in the tip's frame."""
+    """Return the columns of WrenchStamped: the wrench on the tip in the tip's frame.
+
+    It includes the force of the latches.
+    """
     fx, fy = (samples["contact_force"] + samples["latch_force"]).T
     along, across = _turned(fx, fy, samples["q"][:, _THETA_P])
     return wrenches(np.stack([along, across, samples["contact_torque"]], axis=1))
@@ -311,7 +322,7 @@ def statuses(statuses: Sequence[CaptureStatus] | Sequence[LauncherStatus], *name
 
 
 def rejected(counts: Counts) -> dict[str, list[int]]:
-    """Return the fields of CaptureStatus that count measurements which were not used."""
+    """Return the fields of CaptureStatus that count rejected measurements, by reason."""
     return {
         f"{source.value}_rejected": [counts.rejected[source, reason] for reason in Reason]
         for source in Source
@@ -319,7 +330,7 @@ def rejected(counts: Counts) -> dict[str, list[int]]:
 
 
 def string_phases(samples: np.ndarray, scene: Scene) -> np.ndarray:
-    """Return the string's phase in samples, (n,); without a string it counts as slack."""
+    """Return the string's phase in each sample, (n,); the phase is SLACK if there is no string."""
     phases = np.full(len(samples), int(StringPhase.SLACK))
     if scene.string is not None:
         phases[samples["phase"] == Phase.HELD] = StringPhase.HELD
@@ -339,13 +350,13 @@ def _torsion_rates(samples: np.ndarray) -> np.ndarray:
 
 
 def _cos_sin(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    # by math, as nodes do for a single message: NumPy's differ in the last bit
+    # with math's functions, as nodes use them for a single message: NumPy's differ in the last bit
     angles = angle.tolist()
     return np.array([math.cos(a) for a in angles]), np.array([math.sin(a) for a in angles])
 
 
 def _turned(x: np.ndarray, y: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return vectors in axes that are turned by an angle, rad."""
+    """Return the components of vectors in axes that are rotated by an angle, rad."""
     cos, sin = _cos_sin(angle)
     return cos * x + sin * y, cos * y - sin * x
 
@@ -361,27 +372,27 @@ def _pose(path: str, pose: np.ndarray) -> Columns:
 
 
 class Messages:
-    """Makes messages; of each kind one is kept, of which the others differ in their numbers."""
+    """Factory of messages; it keeps a template of each kind, in which only the numbers vary."""
 
     def __init__(self) -> None:
-        self._store = typestore()  # loaded before the first message is due, not by it
+        self._store = typestore()  # loaded now, so that the first message is not delayed
         self._templates: dict[tuple[Any, ...], Template] = {}
 
     def new(self, type_name: str, **fields: Any) -> Message:
-        """Return a new message of a type, ``package/msg/Name``; fields by path."""
+        """Return a new message of a type, ``package/msg/Name``, with values of fields by path."""
         message = blank(type_name)
         for path, value in fields.items():
             fill(message, path, value)
         return message
 
     def header(self, t: float, frame_id: str, zero_ns: int = EPOCH_NS) -> Message:
-        """Return std_msgs/Header of a time, s since ``zero_ns``: the stamp of t = 0, ns."""
+        """Return std_msgs/Header for time ``t``, s; ``zero_ns`` is the stamp of t = 0, ns."""
         sec, nanosec = divmod(stamp_ns(t) - EPOCH_NS + zero_ns, 1_000_000_000)
         stamp = {"stamp.sec": sec, "stamp.nanosec": nanosec}
         return self.new("std_msgs/msg/Header", frame_id=frame_id, **stamp)
 
     def run_info(self, run: RunDescription) -> Message:
-        """Return RunInfo, stamped with the release."""
+        """Return RunInfo, stamped with the time of the release."""
         texts = {name: list(getattr(run, name)) for name in _LISTS}
         names = ["run_id", "name", "source", "announcer", "scene", "scene_sha256"]
         names += ["state_rate", "rate"]
@@ -402,7 +413,7 @@ class Messages:
         reason: str = "",
         extremes: str = "",
     ) -> Message:
-        """Return StreamCounts of one publisher: messages sent by topic name."""
+        """Return StreamCounts of one publisher; ``counts`` are messages sent, by topic name."""
         return self.new(
             "capture_sim/msg/StreamCounts",
             publisher=publisher,
@@ -415,7 +426,10 @@ class Messages:
         )
 
     def many(self, type_name: str, columns: Columns, **fixed: Any) -> Iterator[bytes]:
-        """Yield n serialised messages of a type; the ``columns`` differ, the texts do not."""
+        """Yield n serialised messages of a type.
+
+        ``columns`` are the fields that vary between the messages, ``fixed`` the constant fields.
+        """
         if not len(next(iter(columns.values()))):
             return iter(())
         shapes = ((path, column.shape[1:]) for path, column in columns.items())
@@ -428,5 +442,5 @@ class Messages:
         return template.filled(columns)
 
     def serialise(self, message: Message) -> bytes:
-        """Return the bytes of a message."""
+        """Return the serialised bytes of a message."""
         return bytes(self._store.serialize_cdr(message, message.__msgtype__))

@@ -34,10 +34,9 @@ NO_DEFINITION = (TypesysError, ValueError, KeyError, RecursionError)
 
 @cache
 def typestore() -> Typestore:
-    """Return the types of capture_sim and of ROS 2 Jazzy.
+    """Return the store of the types of capture_sim and of ROS 2 Jazzy.
 
-    Of the types of ROS 2 Jazzy, only those of the suite's topics are loaded at once.  All others
-    are loaded when one of them is asked for.
+    The types of Jazzy that no topic of the suite uses are loaded when one of them is requested.
     """
     store = get_typestore(Stores.EMPTY)
     store.types, store.fielddefs = _OnDemand(store), _OnDemand(store)
@@ -50,10 +49,11 @@ def typestore() -> Typestore:
 
 @lru_cache(maxsize=100)
 def store_of(type_name: str, definition: str, encoding: str = "ros2msg") -> Typestore:
-    """Return a store that knows a type by a file's definition of it, in ros2msg or ros2idl.
+    """Return a store that contains a type as a file defines it, in ros2msg or ros2idl.
 
-    That of this version if its definition is the same, or if the file has none and the type is of
-    a common package.  One of :data:`NO_DEFINITION` if the text is none.
+    This is :func:`typestore` if its definition is equal, or if the file has no definition and the
+    type is from another package.  An error of :data:`NO_DEFINITION` is raised if the text defines
+    no message type.
     """
     store = typestore()
     is_own = type_name.startswith(f"{_PACKAGE}/")
@@ -68,7 +68,7 @@ def store_of(type_name: str, definition: str, encoding: str = "ros2msg") -> Type
 
 
 class _OnDemand(dict[str, Any]):
-    """The data of a store by type; if a type is unknown, all types of ROS 2 Jazzy are loaded."""
+    """Entries of a store by type; a request for a missing type loads all types of ROS 2 Jazzy."""
 
     def __init__(self, store: Typestore) -> None:
         super().__init__()
@@ -95,7 +95,7 @@ class _OnDemand(dict[str, Any]):
 
 
 def is_known(type_name: str) -> bool:
-    """Return True if a type is one of capture_sim or of ROS 2 Jazzy, or was learned."""
+    """Return True if a type is from capture_sim or ROS 2 Jazzy, or was learned."""
     try:
         return bool(typestore().types[type_name])
     except KeyError:
@@ -103,7 +103,7 @@ def is_known(type_name: str) -> bool:
 
 
 def learn_type(type_name: str, share: Path) -> bool:
-    """Learn a type from the definitions in a package's folder; return whether it is known now."""
+    """Learn a type from the definitions in a package's folder; return True if it is then known."""
     if is_known(type_name):
         return True
     store, package = typestore(), type_name.split("/")[0]
@@ -116,7 +116,7 @@ def learn_type(type_name: str, share: Path) -> bool:
 
 
 def blank(type_name: str) -> Any:
-    """Return a message with zeros and nothing in it."""
+    """Return a message in which numbers are zero, and texts and sequences are empty."""
     kinds: dict[Nodetype, Callable[[Any], Any]] = {
         Nodetype.BASE: lambda of: "" if of[0] == "string" else NUMBERS[of[0]].type(0).item(),
         Nodetype.NAME: blank,
@@ -130,7 +130,7 @@ def blank(type_name: str) -> Any:
 
 
 def decoded(topic: Topic, data: bytes, store: Typestore | None = None) -> Any:
-    """Return a message of a topic from its bytes; MessageError if they are no such message."""
+    """Return a message of a topic from its bytes; MessageError if they do not fit its type."""
     try:
         return (store or typestore()).deserialize_cdr(data, topic.type_name)
     except (SerdeError, UnicodeDecodeError) as error:
@@ -139,10 +139,10 @@ def decoded(topic: Topic, data: bytes, store: Typestore | None = None) -> Any:
 
 @cache
 def schema_text(type_name: str) -> str:
-    """Return the ros2msg definition of a type with all types it is made of.
+    """Return the ros2msg definition of a type, including all types that it contains.
 
-    Our own types are given by the text of their file, so that the units in its comments
-    travel with every recording.
+    The definition of a type of this package is the text of its file, so that every recording
+    includes the units in its comments.
     """
     generated, _ = typestore().generate_msgdef(type_name, ros_version=2)
     separator = "=" * 80 + "\n"

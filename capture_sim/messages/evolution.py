@@ -1,10 +1,10 @@
-"""Messages of other versions of this package: fields that a file lacks get their defaults.
+"""Messages of other versions of this package: fields that a file's definition lacks get defaults.
 
-The rule of evolution for messages, scenes and results is in CONTRIBUTING.md: they only gain fields.
-A field that is younger than the first recordings has its default in its line of the ``.msg`` file,
-in ROS's own syntax (``float64 dissipated_slide 0.0``).  MCAP files contain the definitions with
-which they were written.  Fields that such a definition lacks are filled in here.  Fields that it
-has in addition come from a newer version and are left out.
+CONTRIBUTING.md has the rule of evolution: messages, scenes and results only gain fields.  A field
+that was added after the first recordings has its default in its line of the ``.msg`` file, in
+ROS's own syntax (``float64 dissipated_slide 0.0``).  MCAP files contain the definitions with which
+they were written.  Fields that such a definition lacks are filled in here.  Additional fields of
+such a definition come from a newer version and are left out.
 """
 
 from __future__ import annotations
@@ -39,9 +39,10 @@ def defaults(type_name: str) -> dict[str, Any]:
 
 
 def absent_fields(store: Typestore, type_name: str) -> tuple[str, ...]:
-    """Return the fields of a type that another store's definition of it lacks.
+    """Return the fields of a type that its definition in another store lacks.
 
-    All have a default.  MessageError if one has none, or if a field is of another type there.
+    All returned fields have a default.  MessageError is raised if a missing field has no default,
+    or if a field has another type in that store.
     """
     if store is typestore() or type_name not in typestore().fielddefs:
         return ()
@@ -64,9 +65,9 @@ def _absent(store: Typestore, type_name: str, prefix: str) -> Iterator[str]:
 
 
 def completed(columns: Columns, store: Typestore, type_name: str) -> Columns:
-    """Return the columns of n messages of a store's type, with defaults for fields that it lacks.
+    """Return the columns of n messages, with the defaults of fields that the store's type lacks.
 
-    MessageError as in :func:`absent_fields`.
+    MessageError is raised as in :func:`absent_fields`.
     """
     absent = absent_fields(store, type_name)
     n = len(next(iter(columns.values()), ()))
@@ -74,7 +75,10 @@ def completed(columns: Columns, store: Typestore, type_name: str) -> Columns:
 
 
 def _repeated(value: Any, n: int) -> np.ndarray:
-    """Return a column of n times a value: (n,) or (n, m), of objects for texts."""
+    """Return a column in which a value is repeated n times.
+
+    Its shape is (n,), or (n, m) for an array of m numbers.  Columns of texts have dtype object.
+    """
     if isinstance(value, str | list):
         column = np.empty(n, dtype=object)
         column[:] = [value] * n if isinstance(value, str) else [[*value] for _ in range(n)]
@@ -85,9 +89,9 @@ def _repeated(value: Any, n: int) -> np.ndarray:
 
 
 class Translation:
-    """Converts serialised messages of another store's type to this version's.
+    """Converter of serialised messages from another store's definition to this version's.
 
-    MessageError as in :func:`absent_fields`.
+    MessageError is raised as in :func:`absent_fields`.
     """
 
     def __init__(self, store: Typestore, type_name: str) -> None:
@@ -100,7 +104,7 @@ class Translation:
             setattr(self._message, name, defaults(type_name)[name])
 
     def __call__(self, data: bytes) -> bytes:
-        """Return the message of this version; MessageError if the bytes are no such message."""
+        """Return the converted message; MessageError if the bytes do not fit the type."""
         try:
             message = self._store.deserialize_cdr(data, self._type_name)
         except (SerdeError, UnicodeDecodeError) as error:

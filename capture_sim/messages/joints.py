@@ -1,4 +1,4 @@
-"""The buffer's joints in messages of sensor_msgs/JointState, of both joints or of one each."""
+"""Reading of the buffer's joints from sensor_msgs/JointState, both in one message or one in each."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.messages.definitions import decoded
 from capture_sim.messages.topics import JOINT_STATES
 
-#: Stroke and torsion, in the order of the values.
+#: Names of the joints of stroke and torsion, in the order of the values.
 NEEDED = (SLIDE_JOINT, HINGE_JOINT)
-#: A joint is interpolated between messages that are no further apart than this, ns.
+#: Maximum interval between two messages for a joint to be interpolated between them, ns.
 MAX_INTERVAL = 100_000_000
-#: Stamps that step back by more than this begin a new run, ns.
+#: A stamp that is earlier than the previous stamp by more than this starts a new run, ns.
 _NEW_RUN = 1_000_000_000
-#: Messages of a joint that are kept until the other one comes.
+#: Maximum number of messages of one joint that are kept until the other joint's message arrives.
 _KEPT = 50
-#: What may stand between a prefix and a joint's name.
+#: Characters that may separate a prefix from a joint's name.
 _SEPARATORS = "/_.-:"
-#: Of a serialised message: the encapsulation's length, and a stamp's and a number's bytes.
+#: Length of a serialised message's encapsulation header, bytes, and formats of stamp and number.
 _ENCAPSULATION = 4
 _STAMP, _DOUBLE = struct.Struct("<iI"), struct.Struct("<d")
 _AFTER_STAMP = _ENCAPSULATION + _STAMP.size
@@ -37,26 +37,27 @@ _Row = tuple[float, float]
 
 
 class NoJointsError(MessageError):
-    """A JointState gives no measurement of the buffer."""
+    """A JointState contains no measurement of the buffer."""
 
 
 class JointWaitsError(NoJointsError):
-    """A JointState of one joint waits for the other one."""
+    """A JointState contains one joint, and no message of the other joint can be combined with it."""
 
 
 class JointReader:
-    """Reads stamp and joints of sensor_msgs/JointState.
+    """Reader of the stamp and the buffer's joints in sensor_msgs/JointState.
 
-    A driver names the same joints in every message.  So the positions of their numbers are computed
-    again only for a message whose texts differ from the message before.  If each joint has messages
-    of its own, they are joined: a measurement has the stamp of one joint, and the other joint is
-    interpolated.  A joint may have a prefix, e.g. ``rig/buffer_slide``, if all messages have the
-    same prefix.
+    A driver names the same joints in every message.  The offsets of their numbers are therefore
+    computed again only for a message whose texts differ from those of the previous message.
+
+    If each joint has its own messages, they are combined: a measurement has the stamp of one
+    joint, and the other joint is interpolated.  A joint's name may have a prefix, e.g.
+    ``rig/buffer_slide``, which must be equal in all messages.
     """
 
     def __init__(self, store: Typestore) -> None:
         self._store = store
-        # of the message before: its length, and the parts of it that another must share
+        # previous message: its length, and the parts that a message of equal layout must share
         self._size, self._parts = 0, list[tuple[slice, bytes]]()
         self._places: list[int] = []
         self._joined = _Joined()
@@ -65,7 +66,8 @@ class JointReader:
     def __call__(self, data: bytes) -> tuple[int, Values]:
         """Return the stamp, ns, and the values of the buffer.
 
-        NoJointsError if the message gives none, MessageError if it is no such message.
+        NoJointsError is raised if the message gives no measurement of the buffer, MessageError if
+        it is no JointState.
         """
         if len(data) != self._size or any(data[part] != same for part, same in self._parts):
             return self._find(data)
@@ -103,17 +105,20 @@ class JointReader:
     def _remember(
         self, data: bytes, joints: Sequence[int], n_positions: int, *, has_rates: bool
     ) -> None:
-        """Note where the numbers of such a message stand."""
+        """Store the offsets of the numbers, for further messages of equal layout."""
         fields = Layout(self._store, JOINT_STATES.type_name, data).records.fields or {}
         starts = [fields[name][1] for name in ("position", "velocity")[: 1 + has_rates]]
         self._places = [start + 8 * joint for start in starts for joint in joints]
         first = fields["position"][1]
-        behind = first + 8 * n_positions  # the number of velocities
+        behind = first + 8 * n_positions  # offset of the number of velocities
         shared = slice(_ENCAPSULATION), slice(_AFTER_STAMP, first), slice(behind, behind + 4)
         self._size, self._parts = len(data), [(part, data[part]) for part in shared]
 
     def _places_in(self, names: Sequence[str]) -> list[int | None]:
-        """Return the places of the buffer's joints among the names; NoJointsError for neither."""
+        """Return the indices of the buffer's joints in the names, None for a missing joint.
+
+        NoJointsError is raised if both joints are missing.
+        """
         needed = " and ".join(NEEDED)
         if not names:
             raise NoJointsError(f"no joint names: must be {needed}")
@@ -127,7 +132,7 @@ class JointReader:
 
 
 def _prefixes(names: Sequence[str]) -> list[str]:
-    """Return the texts before the buffer's joints in the names; NoJointsError for several."""
+    """Return the prefix of the buffer's joints in the names, if any; NoJointsError for several."""
     found = dict.fromkeys(
         name.removesuffix(joint) for joint in NEEDED for name in names if name.endswith(joint)
     )
@@ -139,16 +144,16 @@ def _prefixes(names: Sequence[str]) -> list[str]:
 
 
 class _Joined:
-    """Joins messages of one joint each, by their stamps."""
+    """Combination of messages of one joint each into measurements, by their stamps."""
 
     def __init__(self) -> None:
         self._rows: list[deque[tuple[int, _Row]]] = [deque(maxlen=_KEPT), deque(maxlen=_KEPT)]
         self._last = -math.inf  # ns, the stamp of the last measurement
 
     def add(self, joint: int, stamp: int, row: _Row) -> tuple[int, Values] | None:
-        """Add a joint's message; return the measurement that it completes; None if none.
+        """Add a joint's message; return the measurement that it completes, or None.
 
-        That is at the older of both joints' newest stamps.
+        The stamp of the measurement is the older of both joints' newest stamps.
         """
         own, other = self._rows[joint], self._rows[1 - joint]
         if own and stamp < own[-1][0] - _NEW_RUN:
@@ -169,7 +174,11 @@ class _Joined:
 
 
 def _at(t: int, rows: deque[tuple[int, _Row]]) -> _Row | None:
-    """Return a joint at a stamp, interpolated; None if no messages are near on both sides."""
+    """Return position and velocity of a joint, interpolated at a stamp, ns.
+
+    None is returned unless there are messages before and after the stamp, at most
+    :data:`MAX_INTERVAL` apart, or one at the stamp.
+    """
     i = bisect_left(rows, t, key=lambda item: item[0])
     if i == len(rows):
         return None

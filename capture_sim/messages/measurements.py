@@ -1,4 +1,4 @@
-"""Messages that the capture detector decides by, as its measurements."""
+"""Reading of the capture detector's measurements from messages."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ from capture_sim.messages.topics import (
 from capture_sim.scene.parts import Scene
 
 Planar = tuple[float, float, float]
-#: Below this norm a quaternion is no orientation about z.
+#: If z and w of a quaternion have a smaller norm than this, it is no rotation about z.
 _MIN_NORM = 1e-3
 
-#: What a bench without simulator may measure; of each source the first topic that comes is used.
+#: Topics that a bench without simulator may publish, by source.  Of each source, the first topic
+#: that arrives is used.
 TOPICS_OF_SOURCE = {
     Source.CHASER: (CHASER_POSE, CHASER_ODOMETRY),
     Source.TARGET: (TARGET_POSE, TARGET_ODOMETRY),
@@ -36,12 +37,12 @@ OF_A_BENCH = {topic: source for source, topics in TOPICS_OF_SOURCE.items() for t
 
 
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
-#: What :func:`pose_values` and :func:`twist_values` take of geometry_msgs' Pose and Twist.
+#: Fields of geometry_msgs' Pose and Twist that :func:`pose_values` and :func:`twist_values` need.
 POSE = ("position.x", "position.y", "orientation.z", "orientation.w")
 TWIST = ("linear.x", "linear.y", "angular.z")
 #: Stroke (m), torsion (rad) and their rates in BufferState.
 BUFFER = ("axial_stroke", "torsion", "axial_rate", "torsion_rate")
-#: The numbers that a measurement is made of, by the type of its message.
+#: Paths of the numbers in a measurement, by the type of its message.
 _NUMBERS = {
     "nav_msgs/msg/Odometry": (
         *(f"pose.pose.{name}" for name in POSE),
@@ -53,10 +54,10 @@ _NUMBERS = {
 
 
 class MeasurementReader:
-    """Reads the measurements in the messages of a topic of :data:`OF_A_BENCH`, from their bytes.
+    """Reader of the measurements in serialised messages of a topic of :data:`OF_A_BENCH`.
 
-    Nodes and recordings share it.  ``store`` knows the message types; None for the types of this
-    version.
+    Nodes and recordings both use it.  ``store`` contains the message types; None uses the types of
+    this version.
     """
 
     def __init__(self, topic: Topic, store: Typestore | None = None) -> None:
@@ -69,10 +70,10 @@ class MeasurementReader:
     def __call__(self, data: bytes) -> tuple[int, Values]:
         """Return the stamp, ns, and the values of the topic's `Source`.
 
-        MessageError if the bytes are no such message, NoJointsError if it has no such joints or
-        waits for the message of another joint.
+        MessageError is raised if the bytes do not fit the topic's type.  NoJointsError is raised if
+        the message has no joints of the buffer, or needs a message of the other joint.
         """
-        if self._last is None or data is not self._last[0]:  # several ask for the same message
+        if self._last is None or data is not self._last[0]:  # several callers read one message
             self._last = data, self._read(data)
         return self._last[1]
 
@@ -88,11 +89,12 @@ class MeasurementReader:
 
 
 class DetectorInput:
-    """The measurements for the detector, from the messages of a run.
+    """Selection and reading of the detector's measurements in the messages of a run.
 
-    If the scene of a simulated run has motion capture, its poses are used, else those of the
-    odometry.  On a bench without simulator, the first topic of each source that arrives is used.
-    ``readers`` are, by topic, readers of a node that also reads the messages for another purpose.
+    If the scene of a simulated run has motion capture, the poses are from motion capture,
+    otherwise from odometry.  On a bench without simulator, the first topic of each source that
+    arrives is used.  ``readers`` are the readers of a node, by topic, if it reads the messages for
+    other purposes too.
     """
 
     def __init__(
@@ -117,13 +119,13 @@ class DetectorInput:
 
     @property
     def topics(self) -> dict[Topic, Source]:
-        """The topics that are read, and the quantity that each of them measures."""
+        """Topics that are read, with the source of measurements that each belongs to."""
         return self._sources
 
     def read(self, topic: Topic, data: bytes) -> tuple[Source, int, Values] | None:
-        """Return source, stamp (ns) and values of a message; None if it is not used.
+        """Return source, stamp (ns) and values of a message; None if its topic is not used.
 
-        MessageError if the bytes are no such message.
+        MessageError is raised if the bytes do not fit the topic's type.
         """
         source = self._sources.get(topic)
         if source is None:
@@ -140,7 +142,8 @@ class DetectorInput:
 def pose_values(x: float, y: float, qz: float, qw: float) -> Planar:
     """Return x, y (m) and heading (rad) of a position and a quaternion about z.
 
-    The heading is NaN without a quaternion about z: of norm 0, or upside down.
+    The heading is NaN if the quaternion is no rotation about z: its norm is 0, or it turns the
+    body upside down.
     """
     if qz * qz + qw * qw < _MIN_NORM**2:
         return x, y, math.nan
@@ -148,6 +151,6 @@ def pose_values(x: float, y: float, qz: float, qw: float) -> Planar:
 
 
 def twist_values(theta: float, vx: float, vy: float, omega: float) -> Planar:
-    """Transform velocity (m/s) and rate (rad/s) from the own frame to the world."""
+    """Transform velocity (m/s) and rate (rad/s) from a body's frame, at heading theta, to the world."""
     c, s = math.cos(theta), math.sin(theta)
     return c * vx - s * vy, s * vx + c * vy, omega

@@ -1,7 +1,7 @@
-"""The message types of ROS 2 that topics of the suite have, as rosbags describes them.
+"""ROS 2 message types that topics of the suite use, in the form in which rosbags describes them.
 
-To load all types of ROS 2 takes longer than all that a node loads besides; tests compare these with
-them.
+Loading all types of ROS 2 takes longer than everything else that a node loads.  Tests compare the
+types here with those of rosbags.
 """
 
 from rosbags.interfaces import Nodetype
@@ -9,7 +9,7 @@ from rosbags.interfaces.typing import Typesdict
 
 _BASE, _NAME, _ARRAY = Nodetype.BASE, Nodetype.NAME, Nodetype.ARRAY
 _SEQUENCE = Nodetype.SEQUENCE
-#: Constants and fields by type.
+#: Constants and fields of each type.
 STANDARD: Typesdict = {
     "builtin_interfaces/msg/Time": (
         [],

@@ -1,8 +1,8 @@
-"""The ordered stream of a run's messages, made from blocks of core data.
+"""Ordered streams of the messages of a run, made from blocks of samples, events and statuses.
 
-Each node of the suite has one class here, which numbers and counts its messages.  The node
-publishes the messages that the class yields, and the offline writer writes them, so both have
-identical messages in the same order.
+Simulator, launcher and detector have one class each, which numbers and counts their messages.
+The node publishes the messages that its class yields, and the offline writer writes them.  A live
+run and a file therefore have the same messages in the same order.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 class Sent(NamedTuple):
-    """A message that is sent."""
+    """A serialised message of a topic, ready to be sent."""
 
     topic: Topic
     stamp: int | None  # ns; None for the counts, which come last
@@ -46,9 +46,9 @@ class Sent(NamedTuple):
 
 
 def samples_per_message(state_rate: float, rate: float) -> int:
-    """Return the number of samples for each periodic message.
+    """Return the number of samples per periodic message.
 
-    CaptureSimError if ``state_rate`` is no integer multiple of ``rate``.
+    CaptureSimError is raised if ``state_rate`` is not an integer multiple of ``rate``.
     """
     every = round(state_rate / rate)
     if every < 1 or abs(every * rate - state_rate) > 1e-9 * state_rate:
@@ -60,15 +60,15 @@ def samples_per_message(state_rate: float, rate: float) -> int:
 
 
 class ContactInterval:
-    """Summarises the contact from one ContactState message to the next.
+    """Summary of the contact from one ContactState message to the next.
 
-    Feed it with every event and every sample in order, then call :meth:`take` at a message.
+    Add every event and every sample in order, then call :meth:`take` for a message.
 
-    A touch's located peak is known only when the touch ends.  If that is after the message of its
-    interval, the next message reports the peak, one message late at most.  A touch that lasts
-    longer than that is represented by the forces of the samples and by its lift_off event.  So the
-    result depends only on what was known at the time, and not on how the run is divided into
-    blocks.
+    The located peak of a touch is known when the touch ends.  If the touch ends after the message
+    of the interval in which the peak lies, the next message reports the peak, one message late.
+    If the touch lasts longer, only the sampled forces and its lift_off event represent it.  The
+    result therefore depends only on data known at the time, and not on how the run is divided
+    into blocks.
     """
 
     def __init__(self) -> None:
@@ -79,18 +79,19 @@ class ContactInterval:
         self._message_before = -math.inf
 
     def add_event(self, event: Event) -> None:
-        """Add an event; only ends of touches count."""
+        """Add an event; only an event that ends a touch has an effect."""
         if event.touch is not None and event.touch["peak_time"] > self._message_before:
             self._peak = max(self._peak, float(event.touch["peak_force"]))
 
     def add_force(self, force: float) -> None:
-        """Take in the larger normal force of a sample, N."""
+        """Add the larger of both walls' normal forces in a sample, N."""
         self._peak = max(self._peak, force)
 
     def take(self, t: float, impulse: float, touches: int) -> tuple[float, float, int]:
         """Return peak force (N), impulse (N s) and touches begun since the last call; then reset.
 
-        ``t`` (s), ``impulse`` and ``touches`` are the sample's, since the release.
+        ``t`` (s) is the sample's time, ``impulse`` and ``touches`` are its totals, all since the
+        release.
         """
         since = (self._peak, impulse - self._impulse, touches - self._touches)
         self._peak, self._impulse, self._touches = 0.0, impulse, touches
@@ -99,14 +100,14 @@ class ContactInterval:
 
 
 class _Stream:
-    """Numbers and counts the messages of one publisher."""
+    """Stream of one publisher's messages, which it numbers and counts."""
 
     publisher: str
 
     def __init__(self, messages: Messages, run_id: str) -> None:
         self._messages = messages
         self._run_id = run_id
-        #: Stamp of t = 0, ns: the release, or a bench's own time.
+        #: Stamp of t = 0, ns: the release in simulated time, or a time of the bench's own clock.
         self.zero_ns = convert.EPOCH_NS
         #: Messages made so far, by topic.
         self.by_topic = {
@@ -121,7 +122,10 @@ class _Stream:
         return {topic.name: count for topic, count in self.by_topic.items()}
 
     def end(self, reason: str = "", extremes: str = "") -> Sent:
-        """Return the counts of all streams, which end the run; ``reason``: why before its time."""
+        """Return the message with the counts of all topics, which ends the run.
+
+        ``reason`` is given if the run ends early; the counts are then marked as not complete.
+        """
         counts = self._messages.stream_counts(
             self.publisher,
             self._run_id,
@@ -133,7 +137,7 @@ class _Stream:
         return Sent(topics.STREAM_COUNTS, None, self._messages.serialise(counts))
 
     def _one(self, topic: Topic, t: float, frame: str, fields: Mapping[str, Any]) -> Sent:
-        """Return one message, stamped t, s since the release."""
+        """Return one message, stamped with time ``t``, s since the release."""
         seq = {"seq": self.by_topic[topic]} if topic.sequenced else {}
         self.by_topic[topic] += 1
         header = self._messages.header(t, frame, self.zero_ns)
@@ -144,7 +148,7 @@ class _Stream:
     def _many(
         self, topic: Topic, t: np.ndarray, frame: str, columns: Columns, **fixed: Any
     ) -> Iterator[Sent]:
-        """Return n messages, stamped t (n,), s since the release."""
+        """Return n messages, stamped with times ``t`` (n,), s since the release."""
         stamps = convert.stamps_ns(t) - convert.EPOCH_NS + self.zero_ns
         path = "clock" if topic.stamp is Stamp.CLOCK else "header.stamp"
         columns = {**convert.stamp_columns(path, stamps), **columns}
@@ -158,25 +162,28 @@ class _Stream:
 
 
 class _StatusStream(_Stream):
-    """Publishes every status on one topic, and each change of state on a transient-local one."""
+    """Stream of every status on one topic, and of changes of state on a transient-local topic."""
 
     stream: Topic
     changes: Topic  # transient local
     frame: str
-    names: tuple[str, ...]  # fields of a status, as the message calls them
+    names: tuple[str, ...]  # fields of a status, with their names in the message
     _last_state: Any = None
 
     def status(self, t: float, status: Any, **fields: Sequence[float]) -> list[Sent]:
-        """Return the messages of one status, see :meth:`statuses`; ``fields``: further ones."""
+        """Return the messages of one status at time ``t``, s since the release.
+
+        ``fields`` are values of further fields; see :meth:`statuses`.
+        """
         return next(self.statuses([(t, status)], {name: [v] for name, v in fields.items()}))
 
     def statuses(
         self, known: Iterable[tuple[float, Any]], further: Mapping[str, Any] | None = None
     ) -> Iterator[list[Sent]]:
-        """Yield the messages of each status, at times since the release, s.
+        """Yield the messages of each status, from pairs of time (s since the release) and status.
 
-        One of the stream, and one of the other topic where the state has changed.  ``further``:
-        columns of each message besides those of the statuses.
+        Each status gives one message on ``stream``, and one on ``changes`` if the state has
+        changed.  ``further`` are additional columns, with one value for each status.
         """
         end = 0
         for (state, reason), group in groupby(known, key=lambda entry: self._text(entry[1])):
@@ -196,20 +203,21 @@ class _StatusStream(_Stream):
 
     @staticmethod
     def _text(status: Any) -> tuple[Any, str]:
-        """Return a status's state, whether it is final where it says so, and its reason."""
+        """Return state and ``final`` of a status (None if it has no such field), and its reason."""
         return (status.state, getattr(status, "final", None)), status.reason
 
 
 class BenchTelemetry(_Stream):
-    """The messages that the simulator sends: begin, any number of blocks, rest, end.
+    """Messages of the simulator: begin, any number of blocks, rest, end.
 
-    For every sample k the order is: the events before its time, BenchState, the trace of the
-    contact before its time.  If k is a multiple of ``state_rate / rate``, clock and periodic
-    messages follow.  Nothing depends on how the run is divided into blocks.
+    The messages of sample k are, in this order: the events before its time, BenchState, and the
+    trace of the contact before its time.  If k is a multiple of ``state_rate / rate``, the clock
+    and the periodic messages follow.  The readings of sensors that are due come last.  The
+    messages do not depend on how the run is divided into blocks.
     """
 
     publisher = topics.SIMULATOR
-    #: The topic that ends the set of periodic messages of a sample.
+    #: Topic of the last periodic message of a sample.
     LAST_PERIODIC = topics.JOINT_STATES
 
     def __init__(self, messages: Messages, scene: Scene, run: RunDescription) -> None:
@@ -220,10 +228,10 @@ class BenchTelemetry(_Stream):
         self._interval = ContactInterval()
         self._sensors = None if scene.sensors is None else SimulatedSensors(scene)
         self._pending: list[Event] = []
-        self._trace = np.zeros(0, SAMPLE)  # points that wait for a later sample
+        self._trace = np.zeros(0, SAMPLE)  # points that are sent with a later sample
 
     def begin(self) -> Sent:
-        """Return the messages before the first sample."""
+        """Return RunInfo, the message before the first sample."""
         self.by_topic[topics.RUN_INFO] += 1
         info = self._messages.run_info(self._run)
         return Sent(topics.RUN_INFO, convert.stamp_ns(0.0), self._messages.serialise(info))
@@ -234,9 +242,10 @@ class BenchTelemetry(_Stream):
         events: Iterable[Event] = (),
         trace: np.ndarray | None = None,
     ) -> Iterator[list[Sent]]:
-        """Yield the messages of each of the next samples, with new events and trace, in order.
+        """Yield the messages of each of the next samples, in order.
 
-        Events and trace later than the last sample wait for the next block.
+        They include the new events and trace points.  Events and trace points later than the last
+        sample are kept for the next block.
         """
         self._pending.extend(events)
         if trace is not None and len(trace):
@@ -253,7 +262,7 @@ class BenchTelemetry(_Stream):
             due = [self._event(event) for event in before.get(i, ())]
             due.append(state)
             if len(self._trace):
-                # a step that ends with the sample itself may be known only later
+                # earlier points only: a step that ends at the sample itself may be known later
                 due += self._traced(t, self._trace["t"].searchsorted(t))
             if i in periodic:
                 due += next(sets)
@@ -261,25 +270,27 @@ class BenchTelemetry(_Stream):
             yield due
 
     def rest(self) -> Iterator[Sent]:
-        """Yield the events and trace after the last sample."""
+        """Yield the messages of the events and trace points after the last sample."""
         while self._pending:
             yield self._event(self._pending.pop(0))
         yield from self._traced(float(self._trace["t"].max(initial=0.0)), len(self._trace))
 
     def cut(self, made: Mapping[Topic, int], sent: Mapping[Topic, int]) -> None:
-        """Discard messages made ahead when a run ends early: no node is to wait for them.
+        """Discard messages made but not sent when a run ends early, so that no node waits for them.
 
-        ``made``: the counts when sending began; ``sent``: how many of each topic were sent since.
+        ``made`` are the counts by topic when sending began, ``sent`` the numbers of messages sent
+        since then.
         """
         self._pending.clear()
         self._trace = self._trace[:0]
         self.by_topic = {topic: n + sent.get(topic, 0) for topic, n in made.items()}
 
     def _events_before(self, times: list[float]) -> dict[int, list[Event]]:
-        """Take out the events that are sent in this block, each before the sample of its place.
+        """Remove the pending events of this block; return them by index of the next sample.
 
-        A sample taken at the very instant of an event shows the state before it, and is
-        handed out before the event is known; so the event follows it, however the run is cut.
+        Each event is sent before this sample.  A sample at the exact time of an event shows the
+        state before the event, and is returned before the event is known.  The event therefore
+        follows this sample, independent of the division into blocks.
         """
         found: dict[int, list[Event]] = {}
         place = 0
@@ -295,7 +306,7 @@ class BenchTelemetry(_Stream):
     def _since_last(
         self, samples: np.ndarray, before: Mapping[int, Sequence[Event]], periodic: range
     ) -> Columns:
-        """Return the contact since the last message, for each periodic sample."""
+        """Return the columns of the contact since the last message, for each periodic sample."""
         interval, since = self._interval, []
         impulses, touches = samples["impulse"].sum(axis=1).tolist(), samples["touches"].tolist()
         forces, times = samples["normal_force"].max(axis=1).tolist(), samples["t"].tolist()
@@ -312,7 +323,10 @@ class BenchTelemetry(_Stream):
         return self._one(topics.BENCH_EVENT, event.t, WORLD, convert.bench_event(event))
 
     def _traced(self, t: float, count: int) -> Iterator[Sent]:
-        """Yield the first ``count`` points that wait, stamped ``t``."""
+        """Yield one ContactTrace of the first ``count`` pending points, stamped ``t``, s.
+
+        If ``count`` is 0, nothing is yielded.
+        """
         if count:
             points, self._trace = self._trace[:count], self._trace[count:]
             yield self._one(topics.CONTACT_TRACE, t, CONE_FRAME, convert.contact_trace(points))
@@ -338,7 +352,7 @@ class BenchTelemetry(_Stream):
         )
 
     def _sensed(self, samples: np.ndarray) -> Iterator[list[Sent]]:
-        """Yield the sensors' readings at each sample; nothing without sensors."""
+        """Yield the messages of the sensors at each sample; yield nothing without sensors."""
         if self._sensors is None:
             return
         read = [self._sensors.read(sample) for sample in samples]
@@ -359,7 +373,7 @@ class BenchTelemetry(_Stream):
 
 
 class LauncherTelemetry(_StatusStream):
-    """The messages that the launcher sends: commands and its state."""
+    """Messages of the launcher: its commands and its state."""
 
     publisher = topics.LAUNCHER
     stream, changes, frame = topics.LAUNCHER_STATE, topics.LAUNCHER_PHASE, WORLD
@@ -369,13 +383,13 @@ class LauncherTelemetry(_StatusStream):
     )
 
     def command(self, t: float, action: LaunchAction, plan: LaunchPlan) -> Sent:
-        """Return a command that follows the plan, at a time since the release, s."""
+        """Return the command for an action, with the values of the plan, at ``t``, s since release."""
         fields = convert.launch_command(self._run_id, action, plan)
         return self._one(topics.LAUNCH_COMMAND, t, WORLD, fields)
 
 
 class DetectorTelemetry(_StatusStream):
-    """The messages of the capture detector: its criteria, then its status at each instant."""
+    """Messages of the capture detector: its criteria, then its status at every evaluated time."""
 
     publisher = topics.CAPTURE_DETECTOR
     stream, changes, frame = topics.CAPTURE_STATUS, topics.CAPTURE_VERDICT, CONE_FRAME
@@ -385,6 +399,6 @@ class DetectorTelemetry(_StatusStream):
     )
 
     def begin(self, criteria: Detector) -> Sent:
-        """Return the detector's criteria."""
+        """Return the message with the detector's criteria."""
         fields = convert.capture_criteria(self._run_id, criteria)
         return self._one(topics.CAPTURE_CRITERIA, 0.0, CONE_FRAME, fields)

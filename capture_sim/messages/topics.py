@@ -18,19 +18,20 @@ PLAYER = "player"
 
 
 class RunSource(StrEnum):
-    """Who announces a run."""
+    """Source of a run, as announced in RunInfo."""
 
     SIMULATION = "simulation"
     REPLAY = "replay"
     TRIAL = "trial"  # of a real bench
 
 
-#: Output of the launcher for a real release, std_msgs/Bool, true holds; no other node publishes it.
+#: Topic on which the launcher drives a real release, std_msgs/Bool; ``true`` means hold.  No other
+#: node publishes it.
 HOLD = "launcher/hold"
 
 
 class Rate(Enum):
-    """When a topic is sent."""
+    """Occasion on which messages of a topic are sent."""
 
     STATE = "state"  # with every sample, scene.run.state_rate
     PERIODIC = "periodic"  # with every n-th sample, scene.run.rate
@@ -41,16 +42,19 @@ class Rate(Enum):
 
 
 class Stamp(Enum):
-    """Where a message of the topic carries its simulated time."""
+    """Position of the simulated time in a message of the topic."""
 
     HEADER = "header"  # std_msgs/Header, the first field
     CLOCK = "clock"  # builtin_interfaces/Time, the only field
     NONE = "none"
 
 
-@dataclass(frozen=True, eq=False)  # each is one of a kind: compared and hashed by identity
+@dataclass(frozen=True, eq=False)  # each topic exists once: compared and hashed by identity
 class Topic:
-    """One topic; all are reliable, and a stream keeps every message until it is read."""
+    """A topic with its quality of service.
+
+    All topics are reliable, and a stream keeps every message until it is read.
+    """
 
     name: str  # relative to the namespace
     type_name: str  # message type as ``package/msg/Name``
@@ -68,12 +72,12 @@ class Topic:
 
     @property
     def holds_state(self) -> bool:
-        """True if only the newest message counts: DDS may replace one before it is delivered."""
+        """True if only the newest message matters; DDS may replace an older undelivered message."""
         return self.transient_local and self.depth == 1 and self.rate is Rate.EVENT
 
     @property
     def absolute_name(self) -> str:
-        """The name in the root namespace, as bags have it."""
+        """Name in the root namespace, as used in bags."""
         return f"/{self.name.lstrip('/')}"
 
 
@@ -89,7 +93,7 @@ _NUMBERED: dict[str, Any] = {"sequenced": True}
 CLOCK = Topic("clock", "rosgraph_msgs/msg/Clock", (SIMULATOR,), Rate.PERIODIC, stamp=Stamp.CLOCK)
 RUN_INFO = _ours("bench/run_info", "RunInfo", SIMULATOR, Rate.ONCE, **_KEPT)
 BENCH_STATE = _ours("bench/state", "BenchState", SIMULATOR, Rate.STATE, **_NUMBERED)
-# where the scene asks for it
+# sent only if the scene requests it
 CONTACT_TRACE = _ours("bench/contact_trace", "ContactTrace", SIMULATOR, Rate.EVENT, **_NUMBERED)
 BUFFER_STATE = _ours("bench/buffer", "BufferState", SIMULATOR, **_NUMBERED)
 CONTACT_STATE = _ours("bench/contact", "ContactState", SIMULATOR, **_NUMBERED)
@@ -103,7 +107,7 @@ CONTACT_WRENCH = Topic(
     "contact/wrench", "geometry_msgs/msg/WrenchStamped", (SIMULATOR,), Rate.PERIODIC
 )
 JOINT_STATES = Topic("joint_states", "sensor_msgs/msg/JointState", (SIMULATOR,), Rate.PERIODIC)
-# what the sensors of a scene read; without sensors nothing is sent
+# readings of the scene's sensors; not sent if the scene has none
 CHASER_POSE = Topic(
     "motion_capture/chaser", "geometry_msgs/msg/PoseStamped", (SIMULATOR,), Rate.SENSOR
 )
@@ -115,7 +119,7 @@ LAUNCH_COMMAND = _ours(
     "launcher/command", "LaunchCommand", LAUNCHER, Rate.EVENT, depth=10, transient_local=True
 )
 LAUNCHER_STATE = _ours("launcher/state", "LauncherState", LAUNCHER, **_NUMBERED)
-# the messages of a stream that change its state, for late subscribers
+# messages of launcher/state in which the state changes, for late subscribers
 LAUNCHER_PHASE = _ours(
     "launcher/phase", "LauncherState", LAUNCHER, Rate.EVENT, **_KEPT, **_NUMBERED
 )
@@ -136,8 +140,9 @@ STREAM_COUNTS = Topic(
     stamp=Stamp.NONE,
 )
 
-#: What nodes report of their part in runs; not part of a run, so not recorded.  Only the last one
-#: counts: a node that comes to a trial would first hear of the runs before it.
+#: Reports of nodes on their participation in runs; not part of a run, so not recorded.  Only the
+#: newest is kept, because a node that joins a trial would otherwise first receive reports on
+#: earlier runs.
 ROLL = Topic(
     "bench/roll",
     "capture_sim/msg/Roll",
@@ -147,7 +152,7 @@ ROLL = Topic(
     stamp=Stamp.NONE,
 )
 
-# commands of a user's controller to the scene's thrusters; what they do is in bench/state
+# commands of a user's controller to the scene's thrusters; bench/state contains their effect
 CHASER_CMD_WRENCH = Topic(
     "chaser/cmd_wrench", "geometry_msgs/msg/WrenchStamped", (), Rate.CONTROL, depth=10
 )
@@ -183,12 +188,12 @@ TOPICS: tuple[Topic, ...] = (
 
 
 def topics_of(publisher: str) -> tuple[Topic, ...]:
-    """Return the topics that a node publishes, the counts of its streams included."""
+    """Return the topics that a node publishes, including bench/stream_counts."""
     return tuple(topic for topic in TOPICS if publisher in topic.publishers)
 
 
 def topic_named(name: str) -> Topic | None:
-    """Return the topic of this name, relative or absolute; None for one that is not ours."""
+    """Return the topic of a relative or absolute name; None if it is not in :data:`TOPICS`."""
     wanted = name.lstrip("/")
     for topic in TOPICS:
         if topic.name.lstrip("/") == wanted:

@@ -1,4 +1,4 @@
-"""Units of the numbers in messages: of ours as their definitions have them, of ROS as REP-103."""
+"""Units of numbers in messages: from the definitions of this package, or from REP-103 for ROS."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import cache
 
 from capture_sim.messages.definitions import schema_text, typestore
 
-#: A number of our definitions, and the unit that its comment begins with.
+#: A number in a definition of this package, and the unit with which its comment begins.
 _DECLARED = re.compile(
     r"^float64(?:\[\d*\])? +(\w+)(?: +[^#=\n]+?)? *# *([^,;\n]*[^,;\s])", re.MULTILINE
 )
@@ -26,14 +26,14 @@ _STAMPS = {"sec": "s", "nanosec": "ns"}
 
 
 def unit_of(type_name: str, column: str) -> str:
-    """Return the unit of a number in a message; empty where it has none, or it is not known.
+    """Return the unit of a number in a message; empty if it has no unit or the unit is not known.
 
     Parameters
     ----------
     type_name
-        As ``package/msg/Name``.
+        Message type as ``package/msg/Name``.
     column
-        Path of the number, as ``q.x_S`` or ``pose.position.x``.
+        Path of the number, e.g. ``q.x_S`` or ``pose.position.x``.
     """
     field, _, member = column.partition(".")
     *_, vector, last = ("", *column.split("."))
@@ -53,6 +53,6 @@ def unit_of(type_name: str, column: str) -> str:
 @cache
 def _declared(type_name: str) -> dict[str, str]:
     if type_name not in typestore().fielddefs:
-        return {}  # of another version
+        return {}  # a type of another version
     own, _, _ = schema_text(type_name).partition("=" * 80)
     return dict(_DECLARED.findall(own))

@@ -1,14 +1,15 @@
-r"""The bench as a URDF and as transforms, so that RViz, Foxglove and others can draw it.
+r"""The bench as a URDF and as transforms, for display in RViz, Foxglove and other tools.
 
-Plane motion: bodies lie at z = 0.  The scene gives masses, not sizes, of the vehicles: their
-boxes are for the eye.  Links carry no inertia, for the same reason.
+The motion is planar: bodies lie at z = 0.  The scene gives the masses of the vehicles, but not
+their sizes, so the boxes are for display only.  For this reason, links have no inertia either.
 
     world -- chaser/base_link -- chaser/cylinder -- chaser/probe -- chaser/tip
           \- target/base_link -- target/cone
 
 ``chaser/base_link`` and ``target/base_link`` are the centres of mass; ``chaser/cylinder`` is
-the hinge, ``chaser/probe`` the same point moved by the stroke, ``chaser/tip`` the centre of
-the tip's sphere, ``target/cone`` the centre of the cone's inner edge BE, turned as the target.
+the hinge, and ``chaser/probe`` is the hinge displaced along the probe by the stroke.
+``chaser/tip`` is the centre of the tip's sphere.  ``target/cone`` is the centre of the cone's inner
+edge BE, with the orientation of the target.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from capture_sim.scene.parts import Scene
 CYLINDER_FRAME = "chaser/cylinder"
 PROBE_FRAME = "chaser/probe"
 
-# for the eye, m
+# dimensions for display only, m
 _HALF_WIDTH, _HEIGHT = 0.11, 0.06
 _REAR = 0.13  # centre of mass to the rear
 _CYLINDER_RADIUS = 0.012
@@ -49,7 +50,7 @@ _COLOURS = {
 
 
 class Transform(NamedTuple):
-    """Pose of a frame in its parent frame; the rotation is about z only."""
+    """Pose of a frame in its parent frame; the rotation is about z."""
 
     parent: str
     child: str
@@ -73,17 +74,17 @@ class Box(NamedTuple):
 
 
 def chaser_box(scene: Scene) -> Box:
-    """Return the chaser's body: up to just in front of the hinge, which it holds."""
+    """Return the box of the chaser's body; it ends just in front of the hinge."""
     return Box(-_REAR, scene.buffer.hinge_offset + _CYLINDER_RADIUS, _HALF_WIDTH)
 
 
 def target_box(scene: Scene) -> Box:
-    """Return the target's body: from just behind BE."""
+    """Return the box of the target's body; it starts just behind BE."""
     return Box(-0.9 * scene.cone.L_T, _REAR, _HALF_WIDTH)
 
 
 def moving_transforms(scene: Scene, q: Sequence[float]) -> Iterator[Transform]:
-    """Yield the transforms that the motion changes, from q (8,), m and rad."""
+    """Yield the transforms that vary with the motion, from q (8,), m and rad."""
     yield Transform(WORLD, CHASER_FRAME, q[0], q[1], q[2])
     yield Transform(WORLD, TARGET_FRAME, q[5], q[6], q[7])
     yield Transform(CHASER_FRAME, CYLINDER_FRAME, scene.buffer.hinge_offset, 0.0, q[3] - q[2])
@@ -91,7 +92,7 @@ def moving_transforms(scene: Scene, q: Sequence[float]) -> Iterator[Transform]:
 
 
 def static_transforms(scene: Scene) -> Iterator[Transform]:
-    """Yield the static transforms."""
+    """Yield the constant transforms."""
     yield Transform(PROBE_FRAME, TIP_FRAME, scene.rest_length, 0.0, 0.0)
     yield Transform(TARGET_FRAME, CONE_FRAME, -scene.cone.L_T, 0.0, 0.0)
 
@@ -125,7 +126,7 @@ def urdf(scene: Scene) -> str:
     )
     _limit(hinge, -math.pi, math.pi)
     slide = _joint(robot, SLIDE_JOINT, "prismatic", CYLINDER_FRAME, PROBE_FRAME, axis="1 0 0")
-    # the probe may go in up to its tip
+    # without stops, the probe may slide in up to its tip
     inwards, outwards = scene.rest_length - scene.probe.tip_radius, scene.rest_length
     if scene.stops is not None:
         inwards = scene.stops.compression
@@ -175,7 +176,7 @@ def _box(
 
 
 def _rod(link: _Element, material: str, radius: float, length: float, middle: float) -> None:
-    """Add a cylinder along x; a URDF's own lies along z."""
+    """Add a cylinder along x; by default, a cylinder in a URDF lies along z."""
     if length > 0.0:
         geometry = _visual(link, material, (middle, 0, 0), (0, math.pi / 2, 0))
         size = {"radius": f"{radius:.9g}", "length": f"{length:.9g}"}
@@ -198,15 +199,15 @@ def _plates(link: _Element, scene: Scene) -> None:
     for i in range(_PLATES):
         angle = 2.0 * math.pi * i / _PLATES + math.pi / 2
         middle = (middle_x, radius * math.cos(angle), radius * math.sin(angle))
-        # x along the generatrix, y round the axis: pitched by the half-angle, rolled into place
+        # x is along the generatrix: a plate is inclined by the half-angle, then rolled about x
         rpy = _roll_after_yaw(angle, math.pi - cone.half_angle)
         _box(link, "cone", (cone.L_c, _PLATE, width), middle, rpy)
 
 
 def _roll_after_yaw(roll: float, yaw: float) -> tuple[float, float, float]:
-    """Return the fixed-axis angles (URDF's rpy) of a turn about z, then one about x."""
+    """Return the fixed-axis angles (URDF's rpy) of a rotation about z followed by one about x."""
     cr, sr, cy, sy = math.cos(roll), math.sin(roll), math.cos(yaw), math.sin(yaw)
-    # R = Rx(roll) Rz(yaw); rows needed of Rz(y) Ry(p) Rx(r)
+    # R = Rx(roll) Rz(yaw); entries that are needed for Rz(y) Ry(p) Rx(r)
     r11, r21, r31 = cy, cr * sy, sr * sy
     r32, r33 = sr * cy, cr
     return math.atan2(r32, r33), -math.asin(r31), math.atan2(r21, r11)

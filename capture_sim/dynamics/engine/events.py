@@ -1,12 +1,14 @@
 """The first event in a step: its definition, its search, and its time to round-off.
 
-Every touch, lift-off, latch and stop event is found, because each has a distance with a known rate:
-near it the step is so short that the cubic through value and rate at both ends shows every dip.
-Conditions without a rate (stick and slip, a vehicle that starts to move or slows down) are checked
-at the quarters and the end of a step.  One that starts and ends within a quarter is missed; it
-changes the forces by less than the error control permits.  A probe that its seat or friction holds
-begins to slide where the load reaches a limit; the cubic through load and rate, a difference
-quotient along the motion, decides whether the step is searched.
+Every touch, lift-off, latch and stop event is found, because each has a distance with a known rate.
+Near such an event the step is so short that the cubic through value and rate at both ends shows
+every minimum.  Conditions without a rate (stick and slip, a vehicle that starts to move or slows
+down) are checked at the quarters and the end of a step.  A condition that is met only within a
+quarter is missed; this changes the forces by less than the error control permits.
+
+A probe that is held by its seat or by friction begins to slide when the load reaches a limit.  The
+rate of the load is a difference quotient along the motion.  The step is searched if the cubic
+through load and rate may reach the limit.
 """
 
 from __future__ import annotations
@@ -36,29 +38,32 @@ from capture_sim.dynamics.samples import EventKind
 from capture_sim.dynamics.solver.roots import cubic_minimum, itp_trial, may_cross
 from capture_sim.scene.laws import FrictionLaw
 
-#: Error of the cubic of a function over a step, as a share of the function's changes.
+#: Error of a function's cubic over a step, as a share of the function's changes.
 _CUBIC_ERROR = 0.05
-#: The same over a quarter of a step or less.
+#: Error of a function's cubic over a quarter of a step or less, as the same share.
 _CUBIC_ERROR_INSIDE = 0.02
-#: A function whose slopes are within these shares of its mean slope has one root, near the chord's.
+#: A function whose slopes at both ends are within these shares of its mean slope has one root, near
+#: the root of the chord.
 _STRAIGHT_SLOPES = (0.7, 1.3)
 #: Round-off of a fraction of the step.
 _ROUNDING = 4e-16
-#: m: how far below zero the first correction for round-off aims.
+#: Distance below zero at which the first correction for round-off aims, m.
 _DISTANCE_ROUNDING = 3e-17
-#: Newton's method ends with a correction below this share: the next one would be round-off.
+#: Newton's method ends with a correction below this share of the fraction: the next correction
+#: would be round-off.
 _NEWTON_DONE = 1e-9
-#: Share of the scene's speed: a smaller slip is round-off and has no direction.
+#: Share of the scene's speed scale; a smaller slip is round-off and has no direction.
 SLIP_FLOOR = 1e-10
-#: Next to the walls 0 and 1, the third place where stick and slip change: the buffer's slide.
+#: Number of the buffer's slide where stick and slip are handled; 0 and 1 are the walls.
 SLIDE = np.int64(2)
-#: Multiple of v_eps: a slower vehicle may be put at rest; see docs/model.md, supports.
+#: Rest speed as a multiple of v_eps; a slower vehicle may be put at rest, see docs/model.md,
+#: supports.
 _REST_SPEED = 5.0
-#: In a repeated step, the event is sought this many times its distance before the end.
+#: The bracket of the event in a repeated step is this many times its expected distance to the end.
 _BRACKET_FACTOR = 3.0
-#: Share of the step: a function that rises from zero is sought above zero down to this fraction.
+#: Smallest fraction of the step at which a function that rises from zero is evaluated.
 _SHORTEST_RISE = 1e-15
-#: Share of the step to which the zero of a margin is located.
+#: Accuracy to which the zero of a margin is located, as a share of the step.
 _MARGIN_WIDTH = 1e-15
 _NO_CROSSING = 2.0  # beyond the end of the step
 
@@ -72,7 +77,7 @@ def stop_distance(y, par, side):
 
 @inline_kernel
 def has_distance(kind):
-    """Return True if the event has a distance with a rate, see :func:`event_value`."""
+    """Return True if a kind of event has a distance with a rate, see :func:`event_value`."""
     is_vehicle = kind == EventKind.MOVING or kind == EventKind.AT_REST
     is_slip = kind == EventKind.STICK or kind == EventKind.SLIP
     return not (is_vehicle or is_slip or kind == EventKind.UNSEATED)
@@ -80,7 +85,7 @@ def has_distance(kind):
 
 @kernel
 def event_value(y, par, kind, which):
-    """Return an event's function and its rate; it goes below zero when the event happens."""
+    """Return an event's function and its rate; the event happens when it falls below zero."""
     if kind == EventKind.STOP_HIT:
         return stop_distance(y, par, which)
     if kind == EventKind.STOP_LEFT:
@@ -108,10 +113,11 @@ def value_inside(w, x, kind, which):
 
 @kernel
 def refine(w, kind, which, x_a, x_b, x):
-    """Return where an event's function passes zero between fractions x_a (>= 0) and x_b (< 0).
+    """Return the fraction of the step at which an event's function falls below zero, or 2.
 
-    Newton's method from ``x``, with bisection where it would leave the bracket; to round-off.
-    2 if the function is below zero by round-off only, as it rises.
+    The function is >= 0 at the fraction ``x_a`` and < 0 at ``x_b``.  Newton's method starts from
+    ``x``, is replaced by bisection where it would leave the bracket, and ends at round-off.  The
+    result is 2 if the function rises at ``x_b``: then only round-off puts it below zero.
     """
     for _ in range(80):
         g, d = value_inside(w, x, kind, which)
@@ -128,11 +134,12 @@ def refine(w, kind, which, x_a, x_b, x):
         if d == 0.0 or not (x_a < trial < x_b):
             trial = 0.5 * (x_a + x_b)
         elif abs(step) <= _NEWTON_DONE * x:
-            # the error after this step is of the order of its square
+            # the error after this step is of the order of the step squared
             x = trial
             break
         x = trial
-    # the function must be negative there and fall, or this event or its opposite follows at once
+    # at the result the function must be negative and falling; otherwise this event or its
+    # opposite would follow at once
     nudge = 0.5 * _ROUNDING * x
     for _ in range(60):
         g, d = value_inside(w, x, kind, which)
@@ -150,12 +157,13 @@ def refine(w, kind, which, x_a, x_b, x):
 
 @kernel
 def leave_zero(w, kind, which, low, g_low, high, g_high, d_high):
-    """Return where an event's function that rises from zero at ``low`` is above zero.
+    """Return a fraction of the step at which a function that rises from zero is above zero.
 
-    Just after an event the opposite one has such a function.  At the fraction ``high`` it is below
-    zero.  Returns that fraction, the value there and a later fraction at which the function is
-    below zero.  Where it rises by less than round-off, the value is 0 and both fractions are the
-    first one found at which it falls again; 2 if it never falls, and is below zero by round-off.
+    Just after an event, the opposite event has such a function.  It rises from zero at the fraction
+    ``low`` and is below zero at ``high``.  Returns the fraction, the value there, and a later
+    fraction at which the function is below zero.  If no value above zero is found, the rise is less
+    than round-off.  Then the value is 0, and both fractions are the first fraction found at which
+    the function falls again.  They are 2 if it never falls: then it is below zero by round-off.
     """
     falls = high if d_high < 0.0 or g_high < g_low else _NO_CROSSING
     trial = high
@@ -174,14 +182,14 @@ def leave_zero(w, kind, which, low, g_low, high, g_high, d_high):
 def first_crossing(w, kind, which):
     """Return the fraction (0..1) of a step where an event's function first falls below zero, or 2.
 
-    The root of a nearly straight function is located directly.  Otherwise the step is searched in
-    quarters, each at the minimum of the cubic through value and slope at both ends.
+    The root of a nearly straight function is located directly.  Otherwise the step is searched
+    quarter by quarter, at the minimum of the cubic through value and slope at both ends of each.
     """
     h, par = w.step.h, w.system.par
     number = kind.value  # as in an event that was found: compiled once
     x_a = 0.0
-    g_a, d_a = event_value(w.stepper.y, par, number, which)
-    is_inside = kind == EventKind.LATCHED and g_a < 0.0  # the tip starts there, at rest or leaving
+    g_a, d_a = event_value(w.stepper.y, par, kind, which)
+    is_inside = kind == EventKind.LATCHED and g_a < 0.0  # the tip starts inside, at rest or leaving
     if (g_a <= 0.0 and d_a < 0.0) or is_inside:
         return 0.0
     g_b, d_b = event_value(w.stepper.y_new, par, number, which)
@@ -191,8 +199,8 @@ def first_crossing(w, kind, which):
         return refine(w, number, which, 0.0, 1.0, g_a / (g_a - g_b))
     for quarter in range(4):
         x_b = 0.25 * (quarter + 1)
-        g_b, d_b = value_inside(w, x_b, number, which)
-        # after an event the function rises from zero, and may be below it by round-off
+        g_b, d_b = value_inside(w, x_b, kind, which)
+        # after an event the function rises from zero, and may be below zero by round-off
         low_a, low_g, low_d = x_a, max(g_a, 0.0), d_a
         high_b, high_g, high_d = x_b, g_b, d_b
         for _ in range(6):
@@ -230,14 +238,14 @@ def first_crossing(w, kind, which):
 
 @kernel
 def excess_speed(y, par, which, factor):
-    """Return by how much a vehicle is faster than ``factor`` times the rest speed, m/s.
+    """Return the speed of a vehicle minus ``factor`` times the rest speed, m/s.
 
-    Far above it, a lower limit of that.
+    The speed is that of the fastest ball.  Far above the rest speed, the result is a lower limit.
     """
     limit = factor * _REST_SPEED * par.v_eps_ball
     first, heading, balls = (8, 2, par.balls_S) if which == 0 else (13, 7, par.balls_T)
     vx, vy, omega = y[first], y[first + 1], y[first + 2]
-    # lower limit of the first ball's speed, without sines
+    # lower limit of the first ball's speed, which needs no sines
     turning = abs(omega) * (abs(balls[0, 0]) + abs(balls[1, 0]))
     above = max(abs(vx), abs(vy)) - limit - turning
     if above > 0.0:
@@ -254,10 +262,10 @@ def is_slow(y, par, which, factor):
 
 @inline_kernel
 def load_of_vehicle(y, par, hold, which):
-    """Return the load of a resting vehicle on its supports, cosine and sine of heading, and balls.
+    """Return the wrench of a vehicle at rest on its supports, its heading and its balls.
 
-    The results are the arguments of :func:`load_factor`.  ``hold`` (6,) is the load at ``y``, see
-    ``OUT``.
+    They are the arguments of :func:`load_factor`: fx, fy, torque, cosine and sine of the heading,
+    balls.  ``hold`` (6,) is the load at ``y``, see ``OUT``.
     """
     if which == 0:
         s, c = sine_cosine(y[2])
@@ -268,16 +276,16 @@ def load_of_vehicle(y, par, hold, which):
 
 @kernel
 def is_held_at_rest(y, par, hold, which, share):
-    """Return True if the supports hold a vehicle at rest with at most this share of their limit."""
+    """Return True if the supports hold a vehicle at rest with at most ``share`` of their limit."""
     fx, fy, torque, c, s, balls = load_of_vehicle(y, par, hold, which)
     return is_held(fx, fy, torque, c, s, balls, share)
 
 
 @kernel
 def forward_slip(y, system, i):
-    """Return the slip of a sliding tip or probe in its direction, above the floor, m/s.
+    """Return the slip speed in the present direction of sliding, plus the slip floor, m/s.
 
-    Of the tip on wall ``i``, or of the probe in its SLIDE.
+    ``i`` is the wall on which the tip slides, or SLIDE for the probe in its slide.
     """
     par, mode = system.par, system.mode
     if i == SLIDE:
@@ -289,7 +297,7 @@ def forward_slip(y, system, i):
 
 @kernel
 def forward_slip_rate(y, f, system, i):
-    """Return d/dt of :func:`forward_slip` for accelerations f[8:16], m/s^2."""
+    """Return the time derivative of :func:`forward_slip` for accelerations f[8:16], m/s^2."""
     par, mode = system.par, system.mode
     if i == SLIDE:
         return f[12] * mode.slide_direction
@@ -298,7 +306,10 @@ def forward_slip_rate(y, f, system, i):
 
 @kernel
 def unused_friction(y, system, i):
-    """Return the friction force that a sticking tip on wall ``i`` does not need, N."""
+    """Return the limit of static friction of a sticking tip minus the force needed to hold it, N.
+
+    ``i`` is the wall.
+    """
     out = system.out
     solve_sticking(y, system.spare[0], system)
     return system.par.mu_s * out.normal[i] - abs(out.friction_force[i])
@@ -306,16 +317,16 @@ def unused_friction(y, system, i):
 
 @inline_kernel
 def is_sticking_tip(mode, i):
-    """Return True if the tip sticks on wall ``i``; a probe that sticks is held."""
+    """Return True if the tip sticks on wall ``i``; False for SLIDE (a sticking probe is held)."""
     return i != SLIDE and mode.touch[i].sticking == 1
 
 
 @kernel
 def slip_margin(y, system, i):
-    """Return the margin before the tip or the probe stops sliding forward, or stops sticking.
+    """Return the margin before sliding in the present direction ends, or before sticking ends.
 
-    The margin is a speed (m/s) or a force (N).  It is 0 or below if the change has already
-    happened.
+    While sliding, it is a speed (m/s), see :func:`forward_slip`; while sticking, a force (N), see
+    :func:`unused_friction`.  A margin of 0 or below means that sliding or sticking has ended.
     """
     if is_sticking_tip(system.mode, i):
         return unused_friction(y, system, i)
@@ -331,9 +342,10 @@ def held_load(y, system):
 
 @kernel
 def hold_limits(y, system):
-    """Return the axial forces between which seat and friction hold a probe, N.
+    """Return the limits of the axial force between which seat and friction hold a probe, N.
 
-    Beyond the first it slides outwards, beyond the second inwards; a seat lets nothing out.
+    Below the first limit the probe slides outwards, above the second limit inwards.  On a seat the
+    first limit is minus infinity, because the seat prevents outward motion.
     """
     par, mode = system.par, system.mode
     stroke = y[4] - par.h_0
@@ -347,7 +359,7 @@ def hold_limits(y, system):
 
 @kernel
 def measure_hold(w):
-    """Write a held probe's load and its rate at both ends of the step."""
+    """Write the axial force of a held probe and its rate at both ends of the step."""
     step, stepper, system = w.step, w.stepper, w.system
     load, rate, mode = step.hold_load, step.hold_load_rate, system.mode
     load[0] = held_load(stepper.y, system)
@@ -364,9 +376,10 @@ def measure_hold(w):
 
 @kernel
 def limit_passed_by(w, side, limit):
-    """Return a fraction (0..1) of the step by which a held probe's load passes a limit; 2 if none.
+    """Return a fraction (0..1) of the step by which a held probe's load has passed a limit, or 2.
 
-    ``side`` is +1 for the upper limit (N), -1 for the lower one, which is given as its negative.
+    ``side`` is +1 for the upper limit (N) and -1 for the lower limit.  ``limit`` is ``side`` times
+    the limit.
     """
     step = w.step
     start, end = limit - side * step.hold_load[0], limit - side * step.hold_load[1]
@@ -391,7 +404,7 @@ def limit_passed_by(w, side, limit):
 
 @kernel
 def hold_lost_by(w):
-    """Return a fraction (0..1) of the step by which the probe is held no more; 2 if none."""
+    """Return a fraction (0..1) of the step by which the probe is no longer held; 2 if none."""
     lower, upper = hold_limits(w.stepper.y, w.system)
     x = limit_passed_by(w, 1.0, upper)
     if w.system.mode.held == Hold.FRICTION:
@@ -401,7 +414,7 @@ def hold_lost_by(w):
 
 @inline_kernel
 def release_of(mode):
-    """Return kind and place of the event by which a held probe begins to slide."""
+    """Return kind and ``which`` of the event at which a held probe begins to slide."""
     if mode.held == Hold.SEAT:
         return EventKind.UNSEATED, NO_WALL
     return EventKind.SLIP, SLIDE
@@ -409,9 +422,10 @@ def release_of(mode):
 
 @kernel
 def margin(y, system, kind, which):
-    """Return a continuous function, above 0 before an event without a rate and 0 where it happens.
+    """Return the margin of an event without a rate: above 0 before the event, 0 when it happens.
 
-    The events are MOVING, AT_REST, STICK, UNSEATED and the SLIP of a probe.
+    The margin is continuous.  The events are MOVING, AT_REST, STICK, UNSEATED and the SLIP of a
+    probe.
     """
     if kind == EventKind.UNSEATED or kind == EventKind.SLIP:
         load = held_load(y, system)
@@ -428,11 +442,11 @@ def margin(y, system, kind, which):
 
 @kernel
 def locate_zero(w, kind, which, x_b):
-    """Return the fraction of the step where a margin first reaches 0; at ``x_b`` it is 0 or below.
+    """Return the fraction of the step at which a margin reaches 0, to round-off.
 
-    The result is exact to round-off.  The method of Oliveira and Takahashi (2020) needs no slope:
-    it uses secants, and never needs more evaluations than bisection.  If the margin is not above 0
-    at the start of the step, e.g. that of a slip after a change, plain bisection is used.
+    At ``x_b`` the margin is 0 or below.  The method of Oliveira and Takahashi (2020) needs no
+    slope; it uses secants and needs at most one trial more than bisection.  It falls back to
+    bisection while the margin is not above 0 at the start, e.g. the slip just after a change.
     """
     y = w.scratch.sought
     x_a, g_a = 0.0, margin(w.stepper.y, w.system, kind, which)
@@ -453,12 +467,12 @@ def locate_zero(w, kind, which, x_b):
 
 @kernel
 def slip_changed_by(w, i):
-    """Return a fraction (0..1) of the step by which slip has changed; 2 if none.
+    """Return a fraction (0..1) of the step by which sliding or sticking has ended; 2 if none.
 
-    Of the tip on wall ``i``, or of a sliding probe in its SLIDE.
+    ``i`` is the wall that the tip touches, or SLIDE for a sliding probe.
 
-    Slip may reverse twice within a step, and the holding force may oscillate, so both are also
-    checked inside the step; while sliding, only if the cubic of the slip may cross zero.
+    Slip may reverse twice within a step, and the holding force may oscillate.  Both are therefore
+    also checked inside the step; while sliding, only if the cubic of the slip may cross zero.
     """
     system, stepper = w.system, w.stepper
     if slip_margin(stepper.y_new, system, i) <= 0.0:
@@ -548,9 +562,10 @@ def search_step(w):
             keep_earliest(w, x, EventKind.STICK, SLIDE)
     if par.preload > 0.0 and not mode.held:
         kind = EventKind.SEATED
-        g_a, d_a = event_value(w.stepper.y, par, kind.value, NO_WALL)
-        g_b, d_b = event_value(w.stepper.y_new, par, kind.value, NO_WALL)
-        # just off its seat, the probe's stroke grows as t^3: a dip of the cubic is not real
+        g_a, d_a = event_value(w.stepper.y, par, kind, NO_WALL)
+        g_b, d_b = event_value(w.stepper.y_new, par, kind, NO_WALL)
+        # just after the probe has left its seat, its stroke grows as t^3: a minimum of the cubic
+        # below zero is not real
         has_just_left = g_a <= 0.0 and d_a == 0.0
         if g_b < 0.0 or (not has_just_left and may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_ERROR)):
             keep_earliest(w, first_crossing(w, kind, NO_WALL), kind, NO_WALL)
@@ -567,9 +582,10 @@ def search_step(w):
 
 @kernel
 def search_again(w, kind, which, x):
-    """Find the first event in a repeated step, which ends just past the event found before.
+    """Find the first event in a repeated step, which ends just after the event found before.
 
-    If the event is not near the fraction ``x``, the entire step is searched.
+    That event, of ``kind`` and ``which``, is expected near the fraction ``x``.  If it is not there,
+    the entire step is searched.
     """
     event, par = w.event, w.system.par
     x_a = 1.0 - _BRACKET_FACTOR * (1.0 - x)

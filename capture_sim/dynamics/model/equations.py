@@ -1,14 +1,15 @@
 r"""Equations of motion of the free phases: two vehicles, the buffer, contact, supports.
 
-State ``y`` (26,): q (8,), v (8,), and ten time integrals that do not act back on the motion: the
+State ``y`` (26,): q (8,), v (8,), and ten time integrals that do not affect the motion: the
 energies (J) dissipated by the axial damper, the torsional damper, the contact hysteresis of each
 wall, the tip's friction, the supports, the latch and the stroke stops (with the seat), and the
 normal impulse of each wall (N s).
 
-Kinetic energy with the hinge at a e(theta_S) and the tip at h e(theta_P) from it gives
-the 5x5 block of the chaser.  Written in axes along and across the probe (u, w) it is an
-arrow in (theta_P, h) on top of an arrow in theta_S, so two one-line eliminations replace a
-factorisation; docs/model.md derives it.
+The 5x5 mass matrix of the chaser follows from the kinetic energy, with the hinge at a e(theta_S)
+from the chaser's centre of mass and the tip at h e(theta_P) from the hinge.  In axes along and
+across the probe (u, w), the matrix is an arrow matrix in (theta_P, h), and the remaining block is
+an arrow matrix in theta_S.  Two short eliminations therefore replace a factorisation; docs/model.md
+derives them.
 """
 
 from __future__ import annotations
@@ -26,41 +27,43 @@ from capture_sim.dynamics.model.trig import sine_cosine, sines_cosines
 from capture_sim.scene.geometry import nearest_on_wall, tip_motion, wall_curvature
 from capture_sim.scene.laws import FrictionLaw
 
-#: Entries of y: 8 coordinates and 8 rates; with the integrals of the ledger and of the impulses.
+#: Entries of y: 8 coordinates and 8 rates; and the total with the integrals of the energy ledger
+#: and of the impulses.
 N_STATE = 16
 N_TOTAL = 26
-# indices of the integrals in y; up to STOP they are energies
+# indices of the integrals in y; the integrals up to STOP are energies
 AXIAL, TORSION, HYSTERESIS, FRICTION, ROLLING, LATCH, STOP, IMPULSE = 16, 17, 18, 20, 21, 22, 23, 24
 
-#: The present touch of a wall, all zero between touches.
+#: The present touch of a wall; all fields are zero between touches.
 WALL_TOUCH = np.dtype(
     [
         ("on", "i8"),
         ("chi", "f8"),  # hysteresis damping, N s/m^2.5
         ("sticking", "i8"),  # law "coulomb": slip held at zero
         ("direction", "f8"),  # law "coulomb": sign of the slip while sliding
-        ("depth", "f8"),  # penetration for the error scale: predicted at the start, or larger, m
+        ("depth", "f8"),  # penetration for the error scale, m: predicted, or the largest so far
         ("start", "f8"),  # s
         ("approach_speed", "f8"),  # m/s
-        ("largest_rate", "f8"),  # of penetration so far, m/s
-        ("peak_force", "f8"),  # so far, N
+        ("largest_rate", "f8"),  # largest rate of penetration so far, m/s
+        ("peak_force", "f8"),  # N, so far
         ("peak_time", "f8"),  # s
-        ("impulse_0", "f8"),  # integrals at its start: N s, and J of hysteresis
-        ("dissipated_0", "f8"),
+        ("impulse_0", "f8"),  # impulse integral at the start of the touch, N s
+        ("dissipated_0", "f8"),  # hysteresis integral at the start of the touch, J
     ],
     align=True,
 )
 
 
 class Hold(IntEnum):
-    """The parts that can hold the probe at rest in its slide."""
+    """Cause that holds the probe at rest in its slide."""
 
     NONE = 0
-    SEAT = 1  # preloaded, at h = h_0; friction helps
+    SEAT = 1  # the preload presses it on its seat, at h = h_0; friction adds to the hold
     FRICTION = 2
 
 
-#: Assigned when a touch begins and ends, so that no field of an earlier touch remains.
+#: Record without a touch, assigned when a touch begins or ends, so that no field of an earlier
+#: touch remains.
 NO_TOUCH = np.zeros(1, WALL_TOUCH)
 
 #: State of a run besides ``y``; the kernels read and write it.
@@ -71,13 +74,13 @@ MODE = np.dtype(
         ("latch_x", "f8"),  # position of the tip when the latch closed, target frame, m
         ("latch_y", "f8"),
         ("stop", "i8"),  # stroke stop in touch: -1 compressed, +1 extended, 0 none
-        ("held", "i8"),  # of Hold: the probe moves with the cylinder, h does not change
-        ("slide_direction", "f8"),  # sign of h' that friction in the slide acts against; 0: none
+        ("held", "i8"),  # a Hold; unless NONE, the probe moves with the cylinder and h is constant
+        ("slide_direction", "f8"),  # sign of h' that friction in the slide opposes; 0: no friction
         ("rest_S", "i8"),  # chaser at rest on its supports
         ("rest_T", "i8"),  # target at rest on its supports
         ("driven", "i8"),  # an external wrench acts on the tip until the latch closes
         ("wrench", "f8", (3,)),  # target's axes, at the tip's centre: N, N, N m
-        ("thrusting", "i8"),  # wrenches from outside act on the vehicles
+        ("thrusting", "i8"),  # external wrenches act on the vehicles
         ("thrust", "f8", (6,)),  # N, N, N m, each in its vehicle's axes: chaser, then target
     ],
     align=True,
@@ -86,8 +89,8 @@ MODE = np.dtype(
 #: Results of an evaluation besides the accelerations.
 OUT = np.dtype(
     [
-        ("axial_force", "f8"),  # on the probe by spring, damper, friction, stop, seat, outwards, N
-        ("axial", "f8"),  # power lost, W
+        ("axial_force", "f8"),  # on the probe, of spring, damper, friction, stop, seat; outwards, N
+        ("axial", "f8"),  # from here to "stop": dissipated powers, W
         ("torsion", "f8"),
         ("hysteresis", "f8", (2,)),
         ("friction", "f8"),
@@ -102,23 +105,23 @@ OUT = np.dtype(
     align=True,
 )
 
-#: Record that the equations of motion read and write besides state and derivative.
+#: Record that the equations of motion read and write in addition to state and derivative.
 SYSTEM = np.dtype(
     [
         ("par", PARAMETERS),
         ("mode", MODE),
         ("out", OUT),
-        ("spare", "f8", (1, N_TOTAL)),  # derivative of an evaluation of which only OUT is used
-        ("evaluations", "i8"),  # of the equations of motion so far
+        ("spare", "f8", (1, N_TOTAL)),  # derivative, when only OUT of an evaluation is needed
+        ("evaluations", "i8"),  # number of evaluations of the equations of motion so far
     ],
     align=True,
 )
 
 
 def make_system(parameters: np.ndarray) -> np.ndarray:
-    """Return the (1,) record for the kernels, in free flight, with a scene's parameters.
+    """Return the (1,) record for the kernels, of dtype SYSTEM, with a scene's parameters.
 
-    The buffer is at rest.
+    The bench is in free flight and the buffer is at rest.
     """
     system = np.zeros(1, SYSTEM)
     system["par"] = parameters
@@ -127,7 +130,7 @@ def make_system(parameters: np.ndarray) -> np.ndarray:
 
 
 def hold_at_rest(parameters: np.void) -> Hold:
-    """Return the force that holds the probe of a buffer at its rest length."""
+    """Return the cause that holds the probe of a buffer at its rest length."""
     if parameters["preload"] > 0.0:
         return Hold.SEAT
     return Hold.FRICTION if parameters["slide_friction"] > 0.0 else Hold.NONE
@@ -135,13 +138,16 @@ def hold_at_rest(parameters: np.void) -> Hold:
 
 @inline_kernel
 def turned(x, y, s, c):
-    """Return a vector in the world's axes that is (x, y) in axes turned by a sine and a cosine."""
+    """Return the vector (x, y) rotated by an angle with sine ``s`` and cosine ``c``.
+
+    This turns components in a body's axes into components in the world's axes.
+    """
     return c * x - s * y, s * x + c * y
 
 
 @inline_kernel
 def tip_in_cone(y, par):
-    """Return the tip's centre in the target's frame and its velocity against it.
+    """Return the position of the tip's centre in the target's frame, and its relative velocity.
 
     Returns (px, py, wx, wy): position in the target's frame, m, and velocity of the
     centre relative to the target's material there, in the same axes, m/s.
@@ -152,9 +158,9 @@ def tip_in_cone(y, par):
 
 @inline_kernel
 def gap_and_rate(px, py, wx, wy, side, par):
-    """Return gap (m; negative is penetration), its rate (m/s) and the normal, target frame.
+    """Return the gap (m; negative: penetration), its rate (m/s) and the wall's normal (x, y).
 
-    ``side`` is +1 for the wall on +y, -1 for the other.
+    The normal is in the target's frame.  ``side`` is +1 for the +y wall, -1 for the -y wall.
     """
     distance, n_u, n_Y = nearest_on_wall(
         -(px + par.L_T), side * py, par.R_c, par.L_c, par.cos_b, par.sin_b
@@ -168,19 +174,20 @@ def gap_and_rate(px, py, wx, wy, side, par):
 def slip_speed(gap, nx, ny, wx, wy, spin, par):
     """Return the tip's slip at the contact point along the tangent, m/s.
 
-    The tangent is the normal turned by +90 degrees; ``spin`` is the probe's rate of
-    rotation against the target, rad/s.
+    The tangent is the normal turned by +90 degrees; ``spin`` is the angular velocity of the probe
+    relative to the target, rad/s.
     """
     return wy * nx - wx * ny - (gap + par.R_t) * spin
 
 
 @inline_kernel
 def tip_forces(y, system, px, py, wx, wy):
-    """Return force on the tip and torque about its centre, and the moment on the target.
+    """Return the force on the tip, the torque about its centre, and the moment on the target.
 
     Returns (fx, fy, torque_tip, torque_target) with the force in the target's axes, N and
     N m.  ``system.out`` receives the powers of hysteresis, friction and latch (W) and the
-    forces of both walls (N); where a tip sticks, ``out.friction_force`` holds it on entry.
+    forces of both walls (N).  If the tip sticks, ``out.friction_force`` must contain the holding
+    force on entry.
     """
     par, mode, out = system.par, system.mode, system.out
     fx = 0.0
@@ -226,10 +233,10 @@ def tip_forces(y, system, px, py, wx, wy):
 
 @inline_kernel
 def chaser_inertia(sD, cD, coupled, held, par):
-    """Return the terms of the inertia matrix that :func:`chaser_accelerations` needs.
+    """Return the reduced inertias that :func:`chaser_accelerations` needs.
 
-    theta_P is eliminated, and h too unless it is ``held``.  ``coupled`` (kg) is the mass across the
-    probe that turns with it.
+    theta_P is eliminated, and h as well unless the probe is ``held``.  ``coupled`` is the mass
+    that the elimination of theta_P subtracts from the total mass across the probe, kg.
     """
     a, m_along, m_free, inverse_u = par.a, par.m_C, par.m_P, par.inverse_m_SC
     m_CP = par.m_C + par.m_P
@@ -249,7 +256,8 @@ def chaser_inertia(sD, cD, coupled, held, par):
 def chaser_accelerations(reduced_u, reduced_w, reduced_S, inertia):
     """Return the chaser's accelerations along and across the probe (m/s^2) and about z (rad/s^2).
 
-    For right-hand sides in which the same is eliminated as in ``inertia``.
+    The right-hand sides must be reduced by the same eliminations as ``inertia``, the result of
+    :func:`chaser_inertia`.
     """
     inverse_u, inverse_w, inverse_S, e_u, e_w = inertia
     alpha = (reduced_S - e_u * reduced_u - e_w * reduced_w) * inverse_S
@@ -258,9 +266,10 @@ def chaser_accelerations(reduced_u, reduced_w, reduced_S, inertia):
 
 @kernel
 def arrest_probe(y, par):
-    """Bring the probe to rest in its slide, by an impulse along it; return the energy lost, J.
+    """Bring the probe to rest in its slide by an axial impulse; return the energy lost, J.
 
-    Only the chaser's bodies take part: contact, friction, latch and supports are finite forces.
+    Only the chaser's bodies take part in the impact.  Contact, friction, latch and supports exert
+    finite forces, which have no impulse.
     """
     sS, cS = sine_cosine(y[2])
     sP, cP = sine_cosine(y[3])
@@ -287,8 +296,8 @@ def arrest_probe(y, par):
 def accelerate(y, f, system):
     """Write accelerations into f[8:16], and powers and forces into ``system.out``.
 
-    ``out.hold`` receives the load that the supports must balance to keep each vehicle at rest,
-    about the body's centre of mass.
+    ``out.hold`` receives the load that the supports must balance to keep each vehicle at rest.  Its
+    moment is about the body's centre of mass.
     """
     par, mode, out = system.par, system.mode, system.out
     system.evaluations += 1
@@ -303,7 +312,7 @@ def accelerate(y, f, system):
     moment = par.first_moment_0 + m_P * h
     inertia = par.hinge_inertia_0 + m_P * r * r
     inverse_P = 1.0 / inertia
-    # what does not wait for the forces comes first: divisions and roots take long
+    # divisions and roots are slow: those that do not depend on the forces come first
     ratio = moment * inverse_P
     chaser = chaser_inertia(sD, cD, moment * ratio, mode.held, par)
     contact = mode.latched or mode.touch[0].on or mode.touch[1].on or mode.driven
@@ -361,7 +370,7 @@ def accelerate(y, f, system):
     R_P = h * f_w + tip + torque - moment * w2 * sD - coriolis * r
     R_h = f_u + axial + m_P * (w2 * cD + r * s2)
     if mode.held:
-        # no row of its own: forces along the probe act on the cylinder
+        # h has no equation of its own: forces along the probe act on the cylinder
         out.axial_force = axial - R_h
         R_h = 0.0
 
@@ -424,7 +433,10 @@ def accelerate(y, f, system):
 
 @inline_kernel
 def spring_and_damper(x, rate, k, k_3, c, c_2, par):
-    """Return the forces of a spring (k, cubic k_3) and a damper (c, quadratic c_2)."""
+    """Return the force of a spring (k, cubic k_3) and of a damper (c, quadratic c_2).
+
+    For a deflection ``x`` (m or rad) and its rate; the forces (N or N m) have their sign.
+    """
     spring = k * x
     damper = c * rate
     if par.has_shaped_buffer:
@@ -435,7 +447,7 @@ def spring_and_damper(x, rate, k, k_3, c, c_2, par):
 
 @inline_kernel
 def spring_and_damper_rate(x, rate, acceleration, k, k_3, c, c_2, par):
-    """Return d/dt of the sum of :func:`spring_and_damper`."""
+    """Return the time derivative of the sum of both results of :func:`spring_and_damper`."""
     total = k * rate + c * acceleration
     if par.has_shaped_buffer:
         total += 3.0 * k_3 * x * x * rate + 2.0 * c_2 * abs(rate) * acceleration
@@ -444,10 +456,10 @@ def spring_and_damper_rate(x, rate, acceleration, k, k_3, c, c_2, par):
 
 @inline_kernel
 def axial_force(stroke, rate, direction, par):
-    """Return the force of axial spring, damper and friction on the probe, N, and a power, W.
+    """Return the axial force of spring, damper and friction on the probe, N, and a power, W.
 
-    The power is the damper's loss.  Friction in the slide acts against ``direction``, 0 for a probe
-    at rest in it.  The force of a seat is not included.
+    The power is that dissipated by the damper.  Friction in the slide opposes ``direction``, the
+    sign of the stroke rate, which is 0 for a probe at rest.  The force of the seat is not included.
     """
     c = par.c_A_rebound if rate > 0.0 else par.c_A
     spring, damper = spring_and_damper(stroke, rate, par.k_A, par.k_A3, c, par.c_A2, par)
@@ -461,7 +473,10 @@ def axial_force(stroke, rate, direction, par):
 
 @inline_kernel
 def axial_force_rate(stroke, rate, acceleration, par):
-    """Return d/dt of :func:`axial_force`, N/s, for d(rate)/dt in m/s^2."""
+    """Return the time derivative of the force of :func:`axial_force`, N/s.
+
+    ``acceleration`` is d(rate)/dt, m/s^2.
+    """
     c = par.c_A_rebound if rate > 0.0 else par.c_A
     total = spring_and_damper_rate(stroke, rate, acceleration, par.k_A, par.k_A3, c, par.c_A2, par)
     if par.has_shaped_buffer and par.force_table.count:
@@ -472,9 +487,10 @@ def axial_force_rate(stroke, rate, acceleration, par):
 
 @inline_kernel
 def hinge_torque(torsion, twist, par):
-    """Return the torque of torsional spring and damper on the cylinder, N m, and power lost, W.
+    """Return the hinge torque of torsional spring and damper, N m, and the power dissipated, W.
 
-    ``twist`` is the rate of the torsion, rad/s.
+    ``torsion`` is theta_P - theta_S, rad; ``twist`` is its rate, rad/s.  The torque acts on the
+    cylinder.
     """
     spring, damper = spring_and_damper(torsion, twist, par.k_T, par.k_T3, par.c_T, par.c_T2, par)
     return -spring - damper, damper * twist
@@ -482,7 +498,10 @@ def hinge_torque(torsion, twist, par):
 
 @inline_kernel
 def hinge_torque_rate(torsion, twist, acceleration, par):
-    """Return d/dt of :func:`hinge_torque`, N m/s, for d(twist)/dt in rad/s^2."""
+    """Return the time derivative of the torque of :func:`hinge_torque`, N m/s.
+
+    ``acceleration`` is d(twist)/dt, rad/s^2.
+    """
     return -spring_and_damper_rate(
         torsion, twist, acceleration, par.k_T, par.k_T3, par.c_T, par.c_T2, par
     )
@@ -492,7 +511,7 @@ def hinge_torque_rate(torsion, twist, acceleration, par):
 def buffer_energy(stroke, torsion, par):
     """Return the elastic energies of the axial and the torsional spring, J.
 
-    That of a preloaded spring counts from its seat.
+    The energy of a preloaded spring is 0 at its seat.
     """
     axial = 0.5 * par.k_A * stroke * stroke
     turning = 0.5 * par.k_T * torsion * torsion
@@ -527,10 +546,11 @@ def latch_energy(px, py, mode, par):
 
 @inline_kernel
 def stop_force(stroke, rate, stop, par):
-    """Return the force of a stroke stop on the probe, N, and the power it loses, W.
+    """Return the force of a stroke stop on the probe, N, and the power that it dissipates, W.
 
-    ``stop`` is -1 at the compressed end, +1 at the extended one.  The force is smooth beyond the
-    end of the touch, so that the end can be located, but a damper does not make it pull.
+    ``stop`` is -1 at the compressed end, +1 at the extended end.  The elastic force continues
+    smoothly beyond the end of the touch, so that this end can be located.  A stop with a damper
+    never pulls.
     """
     end = par.stop_compressed if stop < 0 else par.stop_extended
     elastic = par.k_stop * stop * (stroke - end)
@@ -552,7 +572,7 @@ def slip_of(y, par, i):
 def tip_and_acceleration(y, f, par):
     """Return the result of :func:`tip_in_cone` and the tip's acceleration in the target's frame.
 
-    For accelerations f[8:16]; m, m/s and m/s^2.
+    ``f[8:16]`` are the accelerations of the coordinates.  Units are m, m/s and m/s^2.
     """
     sS, cS, sP, cP, sT, cT = sines_cosines(y[2], y[3], y[7])
     px, py, wx, wy = tip_motion(y, par.a, sS, cS, sP, cP, sT, cT)
@@ -568,7 +588,7 @@ def tip_and_acceleration(y, f, par):
 
 @kernel
 def gap_acceleration(y, f, par, i):
-    """Return the second derivative of the gap to wall ``i`` for accelerations f[8:16], m/s^2."""
+    """Return d2(gap)/dt2 at wall ``i`` for accelerations f[8:16], m/s^2."""
     px, py, wx, wy, ax, ay = tip_and_acceleration(y, f, par)
     side = 1.0 - 2.0 * i
     gap, _, nx, ny = gap_and_rate(px, py, wx, wy, side, par)
@@ -581,7 +601,7 @@ def gap_acceleration(y, f, par, i):
 
 @kernel
 def slip_acceleration(y, f, par, i):
-    """Return d(slip)/dt on wall ``i`` for accelerations f[8:16], m/s^2; linear in these."""
+    """Return d(slip)/dt on wall ``i``, m/s^2; it is linear in the accelerations f[8:16]."""
     px, py, wx, wy, ax, ay = tip_and_acceleration(y, f, par)
     side = 1.0 - 2.0 * i
     gap, rate, nx, ny = gap_and_rate(px, py, wx, wy, side, par)
@@ -602,7 +622,7 @@ _PLUS_Y, _MINUS_Y = np.int64(0), np.int64(1)
 
 @inline_kernel
 def _corrected_slip_rate(y, f, system, i):
-    """Return the slip's rate on wall ``i`` with the correction of round-off drift, m/s^2."""
+    """Return d(slip)/dt on wall ``i`` plus the correction of round-off drift, m/s^2."""
     return slip_acceleration(y, f, system.par, i) + _DRIFT_CORRECTION_RATE * slip_of(
         y, system.par, i
     )
@@ -612,8 +632,8 @@ def _corrected_slip_rate(y, f, system, i):
 def solve_sticking(y, f, system):
     """Write the accelerations with the friction forces that hold the tip on sticking walls.
 
-    The accelerations are linear in the friction forces: one evaluation without them and
-    one with a unit force at each sticking wall give the equations for them.
+    The accelerations are linear in the friction forces.  One evaluation with zero forces and one
+    with a unit force at each sticking wall give the linear equations for these forces.
     """
     mode, out = system.mode, system.out
     out.friction_force[0] = 0.0

@@ -1,4 +1,4 @@
-"""Calibration of one bench from its trials: the joint fit, its tests, and its predictions."""
+"""Joint fit of the parameters of one bench to its trials, tests of the fit, and predictions."""
 
 from __future__ import annotations
 
@@ -66,41 +66,48 @@ from capture_sim.studies.calibration.trial import (
     trial_of,
 )
 
-#: Names of a trial's start.
+#: Names of a trial's start poses.
 STARTS = tuple(f"initial.{v}.{name}" for v in ("chaser", "target") for name in ("x", "y", "theta"))
-#: First touches that are fitted; standard deviations of their times, s, and peak forces, N, where
-#: the recording shows none.
+#: Number of first touches that are fitted; default standard deviations of their times, s, and
+#: peak forces, N, if the recording gives none.
 TOUCHES, TOUCH_NOISE = 4, (2e-4, 2.0)
-#: Linear fits of a joint fit, to estimate how long it takes.
+#: Assumed number of linear fits in a joint fit, for the estimate of its number of simulations.
 _LINEAR_FITS = 50
-#: What the model lacks is added one at a time, at most so often; each is the best of so many.
+#: Largest number of lacking parameters, which are added one at a time, and largest number of
+#: candidates that are tried for each.
 _MOST_ADDED, _TRIED = 3, 2
-#: A candidate is tried beside the best one if its gain is at least this share of the best gain.
+#: A further candidate is tried only if its gain exceeds this share of the best gain.
 _ALIKE = 0.3
+#: Largest number of search steps after a candidate is added.
 _ADDED_STEPS = 6
-#: chi2 of a bad fit, per measured value.
+#: A fit is bad if chi2 per measured value is above this.
 _BAD = 1.5
-#: A fit whose residuals are not noise begins again so far from where it began, in coordinates.
+#: A fit whose residuals are not noise is repeated once from another start.  Standard deviation of
+#: the new start from the first one, in coordinates.
 _ELSEWHERE = 0.15
 
 
 class Start(NamedTuple):
-    """Where a trial began, with standard errors; SI."""
+    """Start poses and release of a trial, with standard errors; SI."""
 
     trial: str
     values: np.ndarray  # (6,), of STARTS
     errors: np.ndarray
-    release: float  # s after the release that was assumed
+    release: float  # s after the assumed release
     release_error: float
     is_release_fitted: bool
-    slopes: np.ndarray  # (7, d), of the six values and the release by the place of the search
-    end: float  # s, of what was used
-    cut: float  # s, of the hold that ended it; infinite without one
-    noise: Mapping[str, np.ndarray]  # of each series
+    slopes: np.ndarray  # (7, d), derivatives of values and release by the search vector
+    end: float  # s, end of the measurements used
+    cut: float  # s, hold that ended the trial; infinite if there is none
+    noise: Mapping[str, np.ndarray]  # standard deviations by series
 
 
 class Lacking(NamedTuple):
-    """A parameter that the model lacks, fitted along with the rest."""
+    """A parameter that the model lacks.
+
+    Its estimate is from a fit with all other parameters, or from the score test if it cannot be
+    fitted.
+    """
 
     score: Score
     estimate: float  # SI
@@ -112,32 +119,33 @@ class Lacking(NamedTuple):
 class Calibration:
     """Parameters of a bench, their errors, and the tests of both; SI units."""
 
-    names: tuple[str, ...]  # of the shared parameters
+    names: tuple[str, ...]  # names of the shared parameters
     values: np.ndarray  # (k,)
     errors: np.ndarray  # (k,), standard errors; infinite if not determined
     units: tuple[str, ...]
-    begun: np.ndarray  # (k,), values that the search began at
+    begun: np.ndarray  # (k,), values at which the search began
     covariance: np.ndarray  # (k, k)
     starts: tuple[Start, ...]  # of each trial
-    chi2: float  # of all residuals and of what was weighed
+    chi2: float  # of all residuals and weighed values
     freedom: int  # residuals less parameters
     left: float  # predicted distance to the minimum, standard errors
-    restarts: tuple[tuple[float, float], ...]  # chi2 above the best, and standard errors away
+    # of each search but the best: chi2 above the best, and distance from it in standard errors
+    restarts: tuple[tuple[float, float], ...]
     agreement: Agreeing  # of all trials
-    agreements: tuple[Agreeing, ...]  # of each trial and the others
+    agreements: tuple[Agreeing, ...]  # of each trial with all other trials
     blocks: tuple[BlockMean, ...]  # means of residuals
-    scores: tuple[Score, ...]  # candidates for what the model lacks
+    scores: tuple[Score, ...]  # candidates for parameters that the model lacks
     lacking: tuple[Lacking, ...]
-    findings: tuple[Finding, ...]  # why it does not count; empty if it does
+    findings: tuple[Finding, ...]  # reasons to reject the fit; empty if there is none
     simulations: int
-    scene: Scene = field(repr=False)  # of the first trial, with the values
+    scene: Scene = field(repr=False)  # of the first trial, with the fitted values
     weighed: Mapping[str, Weighed] = field(default_factory=dict)
     prediction: Prediction | None = field(default=None, repr=False)
     problem: Problem | None = field(default=None, repr=False)
     linear: Linear | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        """Return the values and whether they count, in one line."""
+        """Return the values and whether the fit was found valid, in one line."""
         values = (f"{n} = {v:.6g}" for n, v in zip(self.names, self.values, strict=True))
         return f"Calibration({', '.join(values)}; {'found' if self.is_found else 'not found'})"
 
@@ -158,7 +166,11 @@ class Calibration:
         return np.asarray(self.covariance / np.outer(scale, scale))
 
     def correlation_of(self, names: Sequence[str]) -> np.ndarray:
-        """Return correlations (n, n) of parameters, and of start poses and release of one trial."""
+        """Return the correlations (n, n) of named quantities.
+
+        A name is a shared parameter, or a start pose (:data:`STARTS`) or ``"release"`` of the first
+        trial.
+        """
         assert self.problem is not None
         assert self.linear is not None
         slopes = np.zeros((len(names), self.problem.dimension))
@@ -173,7 +185,7 @@ class Calibration:
 
     @property
     def fields(self) -> dict[str, float]:
-        """The values by path in a scene."""
+        """Fitted values of scene fields by path, SI."""
         assert self.problem is not None
         return {
             path: float(value)
@@ -194,50 +206,52 @@ def calibrate(
     seed: int = 0,
     report: Callable[[int, int], None] | None = None,
 ) -> Calibration:
-    """Fit the parameters of a bench to all of its trials, and test what the fit claims.
+    """Fit the parameters of a bench to all of its trials, and test the fit.
 
-    Each trial has its own start poses and release, which are fitted too; what was measured before
-    the release counts for the start.  Only the time up to the first ``launcher/hold`` after the
-    release is used.
+    Each trial has its own start poses and release, which are fitted too.  Measurements before the
+    release determine the start poses.  Measurements after the first ``launcher/hold`` that follows
+    the release are not used.
 
     Parameters
     ----------
     trials
-        Measured runs of one bench, of :func:`capture_sim.read_run`.
+        Measured runs of one bench, read with :func:`capture_sim.read_run`.
     fit
-        Names of the shared parameters: ``c_rr`` (of both vehicles), ``e``, ``mu``, ``c_A``, fields
-        as ``buffer.k_A``, and errors of sensors: ``delay.buffer``, ``delay.target``,
+        Names of the shared parameters: ``c_rr`` (of both vehicles), ``e``, ``mu``, ``c_A``, scene
+        fields such as ``buffer.k_A``, and errors of sensors: ``delay.buffer``, ``delay.target``,
         ``scale.stroke``, ``scale.torsion``, ``scale.chaser``, ``scale.target``, ``offset.stroke``,
-        ``offset.torsion``.  None: the first four, both stiffnesses, masses and inertias.
+        ``offset.torsion``.  None selects the first four, both buffer stiffnesses, and the masses
+        and inertias of both vehicles.
     weighed
-        Values that are known from elsewhere, by name, e.g. ``{"chaser.mass": "22.6 +- 0.02 kg"}``.
-        They are fitted too, and their errors enter the covariance.
+        Independently measured values by name, e.g. ``{"chaser.mass": "22.6 +- 0.02 kg"}``.  They
+        are fitted too, and their errors enter the covariance.
     predict
-        Scene of a trial to come; the result has its ``prediction``.
+        Scene of a future trial; the result then contains its ``prediction``.
     placement
-        Standard deviations of the placement in that trial, e.g. ``"0.2 mm, 1 mrad"``.
+        Standard deviations of the placement in the future trial, e.g. ``"0.2 mm, 1 mrad"``.
     until
         End of the measurements that are used, s since the release.
     restarts
-        Number of restarts about the best place that must find no better one.
+        Number of successive restarts near the best fit that must find no better fit.
     seed
         Seed of the restarts and of the prediction.
     report
-        Function called with the number of simulations made and about to be made.
+        Function called with the number of simulations made and the estimated total.
 
     Returns
     -------
     Calibration
-        Values, covariance and tests.  ``findings`` has the reasons why the fit does not count;
-        ``is_found`` is True without any.  After Ctrl-C it is the state so far, and says so.
+        Values, covariance and tests.  ``findings`` lists the reasons to reject the fit;
+        ``is_found`` is True if there is none.  After Ctrl-C the result is the latest state of the
+        search, with the finding ``unfinished``.
 
     Raises
     ------
     SceneError
         A name is unknown or given twice, the trials are of different benches, there are fewer
-        measurements than parameters, or the scene cannot be simulated at the start.
+        measured values than parameters, or the scene cannot be simulated where the search begins.
     RecordingError
-        A trial has no poses, or breaks a rule of plausibility.
+        A trial has no poses, or fails a plausibility check.
 
     Examples
     --------
@@ -277,7 +291,7 @@ def calibrate(
 
 
 def _touches_of(run: Run) -> Touches | None:
-    """Return the first touches of a run, if its force is sampled fast enough for them."""
+    """Return the first touches of a run; None if no force resolves them."""
     touches, _ = run.resolved_touches
     if touches is None:
         return None
@@ -287,7 +301,7 @@ def _touches_of(run: Run) -> Touches | None:
 def predicted(
     found: Calibration, scene: Scene, placement: Placement | None = None, *, seed: int = 0
 ) -> Prediction:
-    """Return the prediction of a calibrated bench in another scene."""
+    """Return the prediction of a calibrated bench for another scene."""
     assert found.problem is not None
     assert found.linear is not None
     k = found.problem.shared
@@ -298,7 +312,7 @@ def predicted(
 
 
 def _check_same_bench(first: Run, other: Run) -> None:
-    """Raise SceneError if two runs are of different benches."""
+    """Raise SceneError if two runs are trials of different benches."""
     ours, theirs = first.scene, other.scene
     names = dict.fromkeys((*field_names(ours), *field_names(theirs)))
     for name in names:
@@ -319,7 +333,7 @@ def _where(run: Run) -> str:
 
 
 class _Progress:
-    """Counts simulations."""
+    """Counts simulations and reports their number."""
 
     def __init__(self, expected: int, report: Callable[[int, int], None] | None) -> None:
         self.done, self.expected, self._report = 0, expected, report
@@ -342,8 +356,8 @@ def fit_trials(
 ) -> Calibration:
     """Fit parameters to trials and test the fit; see :func:`calibrate`.
 
-    ``is_noise_known`` is True if the noises of the trials are correct and need no estimate.
-    ``has_scores`` also searches for effects that the model lacks.
+    ``is_noise_known``: True to keep the noise of the trials, False to estimate it again from the
+    residuals.  ``has_scores``: True to search also for parameters that the model lacks.
     """
     compile_kernels()
     counted = _Progress(
@@ -369,7 +383,7 @@ def fit_trials(
 
 
 def _check_start(problem: Problem, begin: np.ndarray) -> None:
-    """Raise an error if a trial cannot be simulated where the search begins."""
+    """Raise SceneError if a trial cannot be simulated where the search begins."""
     place = np.zeros(problem.dimension)
     place[: problem.shared] = begin
     fields, _ = problem.values(place)
@@ -382,7 +396,7 @@ def _check_start(problem: Problem, begin: np.ndarray) -> None:
 
 
 class _Fitting:
-    """A fit in progress, whose latest state can be had at any time."""
+    """A fit in progress; its latest state is available at any time."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
@@ -390,13 +404,13 @@ class _Fitting:
         self.found: Found | None = None
 
     def run(self, begin: np.ndarray, restarts: int, seed: int, *, is_noise_known: bool) -> None:
-        """Fit over a growing horizon, then with the noise of the residuals, then from restarts."""
+        """Fit over a growing horizon, then with the noise of the residuals, then with restarts."""
         rng = np.random.default_rng(seed)
         search = self._grown(self.problem, begin, rng)
         if not is_noise_known:
             search = self._renoised(search)
         if restarts and _block_finding(block_means(search.linear, self.problem), self.problem):
-            # chatter may hold the whole horizon in a false minimum: once more from elsewhere
+            # chatter may trap the fit in a false minimum: repeat it once from another start
             before, first = self.problem, search
             low, high = (limits[: begin.size] for limits in before.limits)
             there = np.clip(begin + _ELSEWHERE * rng.standard_normal(begin.size), low, high)
@@ -415,7 +429,7 @@ class _Fitting:
         return self._search(problem, place, covariance)
 
     def _renoised(self, search: EndedSearch) -> EndedSearch:
-        """Search again with the noise of the residuals."""
+        """Repeat the search with the noise estimated from the residuals."""
         problem = renoised(self.problem, sigma_of(self.problem, search.linear))
         at = search.linear
         return self._search(problem, at.place, step_covariance(at, problem))
@@ -438,7 +452,7 @@ class _Fitting:
         self.latest = self.problem, at
 
     def unfinished(self) -> Calibration:
-        """Return the latest state, which is not found."""
+        """Return the latest state as a calibration with the finding ``unfinished``."""
         assert self.latest is not None
         problem, at = self.latest
         finding = Finding(
@@ -450,7 +464,7 @@ class _Fitting:
 
 
 def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
-    """Return the result of a fit with its tests."""
+    """Test a fit and return it as a calibration."""
     assert fitting.found is not None
     problem, found = fitting.problem, fitting.found
     at = found.best.linear
@@ -508,7 +522,7 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
 
 
 def lacking_text(one: Lacking) -> str:
-    """Return the effects that the model lacks, in words."""
+    """Return a sentence on a parameter that the model lacks."""
     value = (
         f"{one.estimate:.4g} +- {one.error:.2g}"
         if math.isfinite(one.error)
@@ -522,7 +536,7 @@ def lacking_text(one: Lacking) -> str:
 
 
 def _block_finding(blocks: Sequence[BlockMean], problem: Problem) -> Finding | None:
-    """Return the finding on the means of residuals; None if the means are consistent with noise."""
+    """Return the finding on the block means of residuals; None if noise explains them."""
     if not blocks:
         return None
     worst = min(blocks, key=lambda block: (block.p, -block.statistic / block.means))
@@ -541,7 +555,7 @@ def _block_finding(blocks: Sequence[BlockMean], problem: Problem) -> Finding | N
 
 
 def _what_lacks(problem: Problem, at: Linear, candidates: Sequence[Score]) -> list[Lacking]:
-    """Return the parameters that the model lacks, added one at a time."""
+    """Add the parameters that the model lacks, one at a time, and return them."""
     found: list[Lacking] = []
     for _ in range(_MOST_ADDED):
         likely = [score for score in candidates if score.gain > NAMED]
@@ -568,7 +582,7 @@ def _what_lacks(problem: Problem, at: Linear, candidates: Sequence[Score]) -> li
 def _with(
     problem: Problem, at: Linear, score: Score, *, grown: bool = False
 ) -> tuple[Lacking, Problem, Linear] | None:
-    """Return a fit with one more parameter, begun at its estimate; None if it cannot be had."""
+    """Return a fit with one more parameter, started at its estimate; None if it is impossible."""
     if not score.can_be_fitted:
         return None
     scene = problem.trials[0].scene
@@ -587,7 +601,7 @@ def _with(
     if not math.isfinite(start):
         return None
     start = float(np.clip(start, low, high))
-    # a parameter that the fit has as a part of another one stays there: c_rr of both vehicles
+    # an existing parameter that sets the added field too, e.g. c_rr of both vehicles, stays
     wider = Problem(problem.trials, [*problem.parameters, begun_at(added, score.estimate)])
     wider.tick = problem._count
     place = np.insert(at.place, problem.shared, start)
@@ -600,7 +614,7 @@ def _with(
     covariance[problem.shared, problem.shared] = min((score.error / size) ** 2, 1e-2)
     search = descend(wider, place, prior, covariance, most=_ADDED_STEPS)
     if grown and at.chi2 > _BAD * problem.rows:
-        # a wrong model has driven the others far off: all of them begin again
+        # a wrong model has biased the other parameters: restart all of them
         begin = begins(wider.parameters)
         begin[-1] = start
         there, spread_there = grow(wider, begin, np.random.default_rng(0))
@@ -626,7 +640,7 @@ def _result(
     candidates: Sequence[Score] = (),
     lacking: Sequence[Lacking] = (),
 ) -> Calibration:
-    """Return a fit as users read it."""
+    """Return a fit as a Calibration, in SI units."""
     at, k = found.best.linear, problem.shared
     covariance = step_covariance(at, problem)
     slopes = np.array(
@@ -668,7 +682,7 @@ def _result(
 
 
 def _start_of(problem: Problem, at: Linear, number: int, covariance: np.ndarray) -> Start:
-    """Return where a trial began."""
+    """Return the start poses and release of a trial, with standard errors."""
     trial, own = problem.trials[number], problem.own(number)
 
     def poses(coordinates: np.ndarray) -> np.ndarray:
