@@ -26,7 +26,19 @@ class Named(IntEnum):
 
 
 class Phase(Named):
-    """Phase of a run; in each phase, only its own degrees of freedom are integrated."""
+    """Phase of a run; in each phase, only its own degrees of freedom are integrated.
+
+    Examples
+    --------
+    The phases of a launch by the hanging mass, and when each of them begins, s:
+
+    >>> from capture_sim import Phase, simulate
+    >>> run, begun = simulate("tilt_0"), {}
+    >>> for t, phase in zip(run.t, run.samples["phase"]):
+    ...     _ = begun.setdefault(Phase(phase).label, round(float(t), 2))
+    >>> begun
+    {'taut': 0.0, 'coast': 1.83, 'free': 2.29, 'contact': 2.79, 'latched': 2.94}
+    """
 
     HELD = 0
     TAUT = 1
@@ -37,7 +49,17 @@ class Phase(Named):
 
 
 class EventKind(Named):
-    """Kind of an event."""
+    """Kind of an event.
+
+    Examples
+    --------
+    When the mass landed, and when the latch closed, s:
+
+    >>> from capture_sim import EventKind, simulate
+    >>> kinds = (EventKind.LANDED, EventKind.LATCHED)
+    >>> [round(event.t, 3) for event in simulate("tilt_0").events if event.kind in kinds]
+    [1.827, 2.936]
+    """
 
     RELEASE = 0
     LANDED = 1

@@ -182,7 +182,7 @@ class RunDescription:
 
 
 def bench_event(event: Event) -> dict[str, Any]:
-    """Return the fields of BenchEvent; unless the event ends a touch, the touch's fields are zero."""
+    """Return the fields of BenchEvent; those of a touch are 0 unless the event ends a touch."""
     names = ("approach_speed", "peak_force", "peak_time", "impulse", "dissipated")
     touch = event.touch
     return {

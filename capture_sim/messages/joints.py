@@ -1,4 +1,4 @@
-"""Reading of the buffer's joints from sensor_msgs/JointState, both in one message or one in each."""
+"""Reading of the buffer's joints from sensor_msgs/JointState, in one message or in one each."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class NoJointsError(MessageError):
 
 
 class JointWaitsError(NoJointsError):
-    """A JointState contains one joint, and no message of the other joint can be combined with it."""
+    """A JointState contains one joint, and no message of the other joint fits it."""
 
 
 class JointReader:

@@ -151,6 +151,6 @@ def pose_values(x: float, y: float, qz: float, qw: float) -> Planar:
 
 
 def twist_values(theta: float, vx: float, vy: float, omega: float) -> Planar:
-    """Transform velocity (m/s) and rate (rad/s) from a body's frame, at heading theta, to the world."""
+    """Rotate a velocity (m/s) from a body's frame, at heading theta (rad), to the world."""
     c, s = math.cos(theta), math.sin(theta)
     return c * vx - s * vy, s * vx + c * vy, omega

@@ -188,7 +188,7 @@ def first_crossing(w, kind, which):
     h, par = w.step.h, w.system.par
     number = kind.value  # as in an event that was found: compiled once
     x_a = 0.0
-    g_a, d_a = event_value(w.stepper.y, par, kind, which)
+    g_a, d_a = event_value(w.stepper.y, par, number, which)
     is_inside = kind == EventKind.LATCHED and g_a < 0.0  # the tip starts inside, at rest or leaving
     if (g_a <= 0.0 and d_a < 0.0) or is_inside:
         return 0.0
@@ -199,7 +199,7 @@ def first_crossing(w, kind, which):
         return refine(w, number, which, 0.0, 1.0, g_a / (g_a - g_b))
     for quarter in range(4):
         x_b = 0.25 * (quarter + 1)
-        g_b, d_b = value_inside(w, x_b, kind, which)
+        g_b, d_b = value_inside(w, x_b, number, which)
         # after an event the function rises from zero, and may be below zero by round-off
         low_a, low_g, low_d = x_a, max(g_a, 0.0), d_a
         high_b, high_g, high_d = x_b, g_b, d_b
@@ -562,8 +562,8 @@ def search_step(w):
             keep_earliest(w, x, EventKind.STICK, SLIDE)
     if par.preload > 0.0 and not mode.held:
         kind = EventKind.SEATED
-        g_a, d_a = event_value(w.stepper.y, par, kind, NO_WALL)
-        g_b, d_b = event_value(w.stepper.y_new, par, kind, NO_WALL)
+        g_a, d_a = event_value(w.stepper.y, par, kind.value, NO_WALL)
+        g_b, d_b = event_value(w.stepper.y_new, par, kind.value, NO_WALL)
         # just after the probe has left its seat, its stroke grows as t^3: a minimum of the cubic
         # below zero is not real
         has_just_left = g_a <= 0.0 and d_a == 0.0
