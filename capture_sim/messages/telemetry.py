@@ -383,7 +383,7 @@ class LauncherTelemetry(_StatusStream):
     )
 
     def command(self, t: float, action: LaunchAction, plan: LaunchPlan) -> Sent:
-        """Return the command for an action with the values of the plan; ``t``: s since the release."""
+        """Return the command for an action with the plan's values; ``t``: s since the release."""
         fields = convert.launch_command(self._run_id, action, plan)
         return self._one(topics.LAUNCH_COMMAND, t, WORLD, fields)
 
