@@ -53,7 +53,7 @@ class Stamp(Enum):
 class Topic:
     """A topic with its quality of service.
 
-    All topics are reliable, and a stream keeps every message until it is read.
+    A stream keeps every message until it is read.
     """
 
     name: str  # relative to the namespace
@@ -61,6 +61,7 @@ class Topic:
     publishers: tuple[str, ...]  # nodes that send it
     rate: Rate
     depth: int = 1000  # messages that a topic with KEEP_LAST keeps
+    reliable: bool = True  # lost messages are sent again; False: best effort
     transient_local: bool = False  # late subscribers get the last ``depth`` messages
     stamp: Stamp = Stamp.HEADER
     sequenced: bool = False  # a ``uint64 seq`` follows the header and counts from 0 without gaps

@@ -132,7 +132,7 @@ def qos_profile(topic: Topic) -> dict[str, object]:
     return {
         "history": "keep_last" if topic.keeps_last else "keep_all",
         "depth": topic.depth,
-        "reliability": "reliable",
+        "reliability": "reliable" if topic.reliable else "best_effort",
         "durability": "transient_local" if topic.transient_local else "volatile",
         "deadline": _UNLIMITED,
         "lifespan": _UNLIMITED,

@@ -48,7 +48,7 @@ def qos_of(topic: Topic, *, transient_local: bool | None = None) -> QoSProfile:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST if keeps_last else HistoryPolicy.KEEP_ALL,
         depth=topic.depth,
-        reliability=ReliabilityPolicy.RELIABLE,
+        reliability=ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL
         if transient_local
         else DurabilityPolicy.VOLATILE,
