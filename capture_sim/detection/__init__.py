@@ -1,7 +1,7 @@
-"""From measurements, or exact samples, to a verdict.
+"""The capture detector: it derives a verdict from measurements or exact samples.
 
 Takes: Poses and buffer states with stamps (``Measurement``), or samples of dtype SAMPLE.
-Gives: ``CaptureStatus``, the last one with the verdict.
+Gives: ``CaptureStatus`` objects, the last of which has the verdict.
 Must not know: Messages and ROS, a simulator's events, forces.
 Begin with: ``criteria.py``.
 """

@@ -1,7 +1,7 @@
-"""Offsets between the clocks of a bench's sources, from stamp less arrival.
+"""Offsets between the clocks of a bench's sources, from stamp minus arrival time.
 
-At 0.1 m/s an offset of 0.05 s between the poses of chaser and target moves the tip by 5 mm, the
-radius of the capture zone: beyond :data:`MAX_OFFSET` a verdict would be wrong without notice.
+At 0.1 m/s, an offset of 0.05 s between the poses of chaser and target moves the tip by 5 mm, the
+radius of the capture zone.  Beyond :data:`MAX_OFFSET`, a verdict could be wrong unnoticed.
 """
 
 from __future__ import annotations
@@ -11,19 +11,20 @@ from statistics import median
 from capture_sim.detection.measurements import Source
 from capture_sim.plausibility.clocks import MAX_OFFSET, WARN_OFFSET
 
-#: The bounds are those of the rules of plausibility.
+#: Public names; the two limits come from :mod:`capture_sim.plausibility.clocks`.
 __all__ = ["MAX_OFFSET", "WARN_OFFSET", "ClockOffsets"]
-#: Smallest number of messages of each source for an offset.
+#: Smallest number of messages of each source from which an offset is computed.
 _MIN_ARRIVALS = 5
-#: Stamps that advance at another rate than arrivals are a replay's: they show no clock offset.
+#: Limits of the rate of stamps relative to arrivals.  Outside, the messages come from a replay,
+#: which gives no clock offset.
 _LIVE_RATES = (0.8, 1.25)
 
 
 class ClockOffsets:
-    """Compares the clocks of the sources while their messages arrive.
+    """Comparison of the sources' clocks while their messages arrive.
 
-    The offset of a source is that of its fastest message so far, as in NTP's clock filter.  A
-    halted machine or a late driver delays messages, but no message can arrive too early.
+    The offset of a source is the offset of its message with the smallest delay so far, as in NTP's
+    clock filter.  A paused machine or a slow driver can only delay messages, never advance them.
     """
 
     def __init__(self) -> None:
@@ -34,18 +35,18 @@ class ClockOffsets:
         self._worst: tuple[Source, float] | None = None
 
     def add(self, source: Source, stamp: int, arrival: int) -> None:
-        """Note the stamp of a message and its arrival, ns, each by any clock."""
+        """Add a message by its stamp and its time of arrival, ns, each by any clock."""
         self._count[source] += 1
         self._offset[source] = max(self._offset.get(source, stamp - arrival), stamp - arrival)
         self._first.setdefault(source, (stamp, arrival))
         self._last[source] = stamp, arrival
 
     def worst(self) -> tuple[Source, float] | None:
-        """Return the source whose clock differs most from the others', and by how much, s.
+        """Return the source whose clock differs most from the other clocks, and the difference, s.
 
-        The middle one of the three offsets is the reference.  Where stamps do not advance with
-        arrival, the offset is the last that was known: a busy machine has halted, or a replay has
-        never shown any.
+        The reference is the median of the three offsets.  While stamps do not advance with the
+        arrivals, e.g. on a paused machine, the last known result is returned.  None if there is
+        none yet, as in a replay.
         """
         if min(self._count.values()) >= _MIN_ARRIVALS and all(map(self._is_live, Source)):
             middle = median(self._offset.values())
@@ -54,7 +55,7 @@ class ClockOffsets:
         return self._worst
 
     def _is_live(self, source: Source) -> bool:
-        """Return True if stamps advance with arrival."""
+        """Return True if the stamps of a source advance at about the rate of its arrivals."""
         first, last = self._first[source], self._last[source]
         passed, waited = last[0] - first[0], last[1] - first[1]
         return _LIVE_RATES[0] * waited <= passed <= _LIVE_RATES[1] * waited

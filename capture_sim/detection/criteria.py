@@ -1,8 +1,9 @@
-"""The rules of the verdict, evaluated at one position of the tip after the other.
+"""The rules of the verdict, evaluated at successive positions of the tip.
 
-:func:`decide` has the rules during a run and :func:`decide_at_end` those at its end.  Exact samples
-are evaluated in compiled code (:mod:`capture_sim.detection.exact`), measurements in Python at
-positions that a filter has estimated (:mod:`capture_sim.detection.detector`).
+:func:`decide` contains the rules that apply during a run, :func:`decide_at_end` the rules at its
+end.  Exact samples are evaluated in compiled code (:mod:`capture_sim.detection.exact`).
+Measurements are evaluated in Python, at positions that a filter has estimated
+(:mod:`capture_sim.detection.detector`).
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from capture_sim.dynamics.samples import Named
 from capture_sim.scene.geometry import nearest_on_wall
 from capture_sim.scene.parts import Scene
 
-#: Standard deviations by which a decision must hold,
+#: Standard deviations by which a value must satisfy a criterion.
 GUARD = 3.0
-#: ... and at the border of the capture zone, where errors to either side weigh alike.
+#: GUARD for the border of the capture zone, where false entries and false exits cost the same.
 ZONE_GUARD = 1.0
-# s; time stamps are decimal fractions: 0.2 s may come out one round-off error short
+# s; tolerance for round-off: a difference of two decimal time stamps may be just below 0.2 s
 _TICK = 1e-9
 
 
@@ -58,7 +59,7 @@ class CaptureState(Named):
 
 
 class Cause(IntEnum):
-    """The rule that gave the state; its words are in :func:`reason`."""
+    """Rule that gave the state; :func:`reason` returns its description."""
 
     NO_CONTACT = 0
     AT_CONE = 1
@@ -84,17 +85,17 @@ class Cause(IntEnum):
     NO_END = 21
 
 
-#: In the reason of a capture whose tip is outside the capture zone again.
+#: Text in the reason of a capture after which the tip has left the capture zone again.
 _OUTSIDE_AGAIN = "but outside again"
 
 
 class CaptureStatus(NamedTuple):
-    """The detector's view; fields and units as in msg/CaptureStatus.msg.
+    """Status of the detector at one instant; fields and units as in msg/CaptureStatus.msg.
 
     ``nearest_deviation`` is the standard error of ``nearest_distance``, see
     :attr:`capture_sim.detection.nearest.ClosestApproach.estimate`.
-    ``not_used``: at the end of a run, the numbers of measurements that were not used, by source and
-    reason, with the likely cause where they are many.
+    ``not_used`` is set at the end of a run.  It lists the numbers of unused measurements by source
+    and reason, with the likely cause if they are many.
     """
 
     t: float
@@ -118,14 +119,14 @@ class CaptureStatus(NamedTuple):
 
     @property
     def label(self) -> str:
-        """The state for tables; of a capture also that the tip has left the zone again."""
+        """State as text for tables, with ", left" if a captured tip has left the zone again."""
         return f"{self.state.label}, left" if self.left_again else self.state.label
 
 
 class Criteria(NamedTuple):
-    """The criteria and the geometry that they use, m, s and rad.
+    """The criteria and the geometry that they use, in m, s and rad.
 
-    See the scene's ``detector``, ``buffer`` and ``cone``.
+    The values come from the scene's ``detector``, ``buffer``, ``probe`` and ``cone``.
     """
 
     radius: float
@@ -166,15 +167,15 @@ class Place(NamedTuple):
     Attributes
     ----------
     t
-        s.
+        Time, s.
     axial, lateral
-        Ahead of BE and off the axis, m.
+        Distance ahead of BE and offset from the axis, m.
     axial_rate, lateral_rate
-        m/s.
+        Rates of the position, m/s.
     axial_variance, lateral_variance
-        m^2; 0 if exact.
+        Variances of the position, m^2; 0 if exact.
     size
-        Number of measurements that it was estimated from.
+        Number of measurements used to estimate the position.
     """
 
     t: float
@@ -187,33 +188,33 @@ class Place(NamedTuple):
     size: int = 1
 
 
-#: State of the evaluation of one run; NaN in a time: the condition does not hold at present.
+#: State of the evaluation of one run.  A time is NaN while its condition is not satisfied.
 MEMORY = np.dtype(
     [
         ("state", "i8"),
         ("cause", "i8"),
         ("value", "f8"),  # m, the length named in the reason; 0 if it names none
-        ("since", "f8"),  # s, begin of the state
-        ("has_approached", "i8"),  # before that nothing is evaluated, see decide
-        ("farthest", "f8"),  # m, from BE until then
-        ("first_t", "f8"),  # s, of the first position
+        ("since", "f8"),  # s, start of the state
+        ("has_approached", "i8"),  # the criteria are evaluated only if this is set, see decide
+        ("farthest", "f8"),  # m, largest distance from BE before the approach
+        ("first_t", "f8"),  # s, time of the first position
         ("has_stayed", "i8"),  # no position so far has been outside the capture zone
         ("has_been_outside", "i8"),  # the tip has been ahead of BE
         ("crossing_lateral", "f8"),  # m, lateral offset at the last crossing of BE's plane
-        ("nearest", "f8"),  # m, to BE
-        ("nearest_gap", "f8"),  # m, to a wall, less what the noise may hide
-        ("fastest", "f8"),  # m/s
-        ("zone_since", "f8"),  # s, in the capture zone
-        ("outside_since", "f8"),  # s, captured and sure to be outside it again
-        ("still_since", "f8"),  # s, at rest outside the zone,
-        ("still_axial", "f8"),  # m, near this position
+        ("nearest", "f8"),  # m, smallest distance from BE
+        ("nearest_gap", "f8"),  # m, smallest gap to a wall, less GUARD standard deviations
+        ("fastest", "f8"),  # m/s, largest speed
+        ("zone_since", "f8"),  # s, since when the tip has been in the capture zone
+        ("outside_since", "f8"),  # s, since when a captured tip has surely been outside the zone
+        ("still_since", "f8"),  # s, since when the tip has been at rest outside the zone
+        ("still_axial", "f8"),  # m, position of that rest
         ("still_lateral", "f8"),
-        ("t", "f8"),  # s, of the last position,
-        ("axial", "f8"),  # m, the position itself
+        ("t", "f8"),  # s, time of the last position
+        ("axial", "f8"),  # m, last position
         ("lateral", "f8"),
-        ("distance", "f8"),  # m, of the tip from BE then,
-        ("speed", "f8"),  # m/s, in the cone's frame,
-        ("outwards", "f8"),  # m^2/s, distance times its rate
+        ("distance", "f8"),  # m, distance from BE at the last position
+        ("speed", "f8"),  # m/s, speed in the cone's frame at the last position
+        ("outwards", "f8"),  # m^2/s, that distance times its rate
     ]
 )
 
@@ -239,13 +240,13 @@ _FIRST_MEMORY = _first_memory()
 
 @kernel
 def enter(memory, state, cause, t, value):
-    """Change the state."""
+    """Set the state, its cause, its start time ``t`` (s) and the length in its reason (m)."""
     memory.state, memory.cause, memory.since, memory.value = state, cause, t, value
 
 
 @kernel
 def wall_gap(criteria, axial, lateral):
-    """Return the tip's gap to the nearer wall, m, and that wall's normal."""
+    """Return the tip's gap to the nearer wall, m, and the two components of the wall's normal."""
     c = criteria
     plus = nearest_on_wall(axial, lateral, c.R_c, c.L_c, c.cos_b, c.sin_b)
     minus = nearest_on_wall(axial, -lateral, c.R_c, c.L_c, c.cos_b, c.sin_b)
@@ -255,7 +256,10 @@ def wall_gap(criteria, axial, lateral):
 
 @kernel
 def note_push(criteria, memory, t, axial, lateral):
-    """Enter contact for a pushed buffer near a wall; far from it the launch's jerk pushes."""
+    """Enter the contact state if the buffer is pushed while the tip is near a wall.
+
+    Far from the walls, the jerk of the launch may push the buffer.
+    """
     near = wall_gap(criteria, axial, lateral)[0] < criteria.tip_radius
     if memory.state == CaptureState.APPROACH and memory.has_approached and near:
         enter(memory, CaptureState.CONTACT, Cause.AT_CONE, t, 0.0)
@@ -263,10 +267,10 @@ def note_push(criteria, memory, t, axial, lateral):
 
 @kernel
 def must_have_hit(criteria, memory, corner_time):
-    """Return True if a tip that turned round was so near a wall that it must have hit it.
+    """Return True if a tip that reversed its motion was so near a wall that it must have hit it.
 
-    Vehicles that coast do not turn round by themselves.  ``corner_time`` (s): by how much
-    smoothing shortens the corner that a hit makes in the path, per m/s.
+    Coasting vehicles do not reverse by themselves.  ``corner_time`` (s, or m per m/s) is the length
+    that smoothing cuts off the corner of a hit in the path, per unit of speed.
     """
     return memory.nearest_gap < criteria.contact_gap + memory.fastest * corner_time
 
@@ -275,8 +279,8 @@ def must_have_hit(criteria, memory, corner_time):
 def is_approaching(criteria, memory, t, distance, unsure):
     """Return True once the tip has come nearer to BE by the capture radius.
 
-    On a bench without simulator a trial may begin long before the release, with the chaser
-    at rest, handled, or still being pulled back: none of that says anything about the capture.
+    On a real bench, a trial may begin long before the release, with the chaser at rest, moved by
+    hand or still being pulled back.  Such motion must not affect the verdict.
     """
     if not memory.has_approached:
         if math.isnan(memory.first_t):
@@ -292,7 +296,7 @@ def is_approaching(criteria, memory, t, distance, unsure):
 
 @kernel
 def watch_capture(criteria, memory, t, distance, unsure, axial, margin, outside_time):
-    """Note of a captured tip whether it is outside the capture zone again."""
+    """Update the cause of a capture: whether the tip has left the capture zone again."""
     inside = distance + ZONE_GUARD * unsure <= criteria.radius or axial + margin <= 0.0
     outside = distance - GUARD * unsure > criteria.radius and axial - margin > 0.0
     if memory.cause == Cause.DWELT or memory.cause == Cause.LEFT_ZONE:
@@ -312,21 +316,22 @@ def watch_capture(criteria, memory, t, distance, unsure, axial, margin, outside_
 
 @kernel
 def decide(criteria, memory, place, has_rested, corner_time, outside_time):
-    """Evaluate the criteria at one position of the tip, later than the one before.
+    """Evaluate the criteria at one position of the tip; positions must be in the order of time.
 
-    Nothing is evaluated before ``memory.has_approached``; a simulated run starts with the
-    release and so has it from the start.
+    No criterion is evaluated before ``memory.has_approached`` is set.  For a simulated run it is
+    set from the start, because such a run starts with the release.
 
-    ``has_rested``: the tip has been at rest for long enough, where one position says nothing about
-    that (``place.size > 1``).  ``corner_time``: see :func:`must_have_hit`.  ``outside_time`` (s): a
-    captured tip is outside the capture zone again once it has been outside for this long.
+    ``has_rested`` is true if the tip has been at rest for long enough; it is needed for smoothed
+    positions (``place.size > 1``), which are not tested for rest here.  ``corner_time``: see
+    :func:`must_have_hit`.  ``outside_time`` (s): a captured tip counts as outside the capture zone
+    again once it has been outside for this long.
     """
     t, axial, lateral = place.t, place.axial, place.lateral
     var_a, var_l = place.axial_variance, place.lateral_variance
     square = axial * axial + lateral * lateral
     distance, unsure = math.sqrt(square), 0.0
     if var_a > 0.0 or var_l > 0.0:
-        # without what noise adds to a length on average
+        # subtract the mean contribution of noise to a squared length
         distance = math.sqrt(max(square - var_a - var_l, 0.0))
         if square > 0.0:
             unsure = axial * axial * var_a + lateral * lateral * var_l
@@ -360,7 +365,7 @@ def decide(criteria, memory, place, has_rested, corner_time, outside_time):
     if axial - margin > 0.0:
         memory.has_been_outside = 1
     if passed:
-        # where it crossed BE's plane, not where it is now: it may be far behind
+        # use the offset at the crossing of BE's plane: the tip may now be far behind the plane
         beside = abs(memory.crossing_lateral)
         if beside < criteria.R_c:
             enter(memory, CaptureState.CAPTURED, Cause.PASSED_THROAT, t, 0.0)
@@ -368,7 +373,7 @@ def decide(criteria, memory, place, has_rested, corner_time, outside_time):
             enter(memory, CaptureState.MISSED, Cause.PASSED_BESIDE, t, beside)
         return
 
-    # a tip inside the zone is outside only when that is sure, and the other way round
+    # hysteresis: the tip enters or leaves the zone only if the change exceeds the noise
     guard = ZONE_GUARD if math.isnan(memory.zone_since) else -ZONE_GUARD
     if distance + guard * unsure > criteria.radius:
         memory.zone_since = math.nan
@@ -399,10 +404,10 @@ def decide(criteria, memory, place, has_rested, corner_time, outside_time):
 
 @kernel
 def decide_at_end(criteria, memory, corner_time, cut):
-    """Evaluate a run without verdict that ended with its last position, see :func:`decide`.
+    """Evaluate a run that ended without a verdict; for its parameters see :func:`decide`.
 
-    docs/detection.md has the rules.  ``cut``: the run was ended before its time, so that a tip
-    at rest or on its way out proves nothing.
+    The rules are in docs/detection.md.  ``cut`` is true if the run was ended early; a tip at rest
+    or moving out then gives no verdict.
     """
     is_still = memory.speed < criteria.still_speed
     moves_out = memory.outwards > 0.0 and not is_still
@@ -459,7 +464,10 @@ _REASONS = {
 
 
 def reason(criteria: Criteria, cause: int, value: float) -> str:
-    """Return the cause in words; ``value`` is the length that it names, m."""
+    """Return the description of a cause; ``value`` is the length that it contains, m.
+
+    For :attr:`Cause.CLOCKS_DIFFER`, ``value`` is a time, s.
+    """
     return _REASONS[Cause(cause)].format(
         radius=criteria.radius * 1e3,
         dwell=criteria.dwell,

@@ -1,8 +1,9 @@
 """The closest approach of a path that is measured with noise.
 
-The smallest of many noisy distances is too small, and noise adds to each.  So the measurements are
-divided into two halves, whose noise is independent.  Where the path through one half comes closest,
-the other half gives the distance, and the other way round.
+The minimum of many noisy distances is biased low, while noise increases each distance on average.
+The measurements are therefore divided into two halves with independent noise.  One half gives the
+position of the closest approach, and the other half the distance there.  The two halves then swap
+their roles.
 """
 
 from __future__ import annotations
@@ -10,11 +11,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-#: A squared distance below so many of its standard errors is not known to be above 0.
+#: A squared distance is not significantly above 0 below this number of its standard errors.
 _LEAST = 2.0
-#: Standard errors below which it is.
+#: Number of standard errors in the upper limit of such a squared distance.
 _BOUND = 3.0
-#: Standard errors that count against a position which is known less well.
+#: Number of standard errors added to a squared distance before comparison, so that an uncertain
+#: position is less likely to be chosen.
 _PENALTY = 3.0
 
 
@@ -28,7 +30,7 @@ class Half(NamedTuple):
 
     @property
     def square(self) -> float:
-        """Squared distance without the mean contribution of noise, m^2; it may be negative."""
+        """Squared distance, m^2, less the mean contribution of noise; may be negative."""
         square = self.axial**2 + self.lateral**2
         return square - self.axial_variance - self.lateral_variance
 
@@ -45,23 +47,24 @@ class Half(NamedTuple):
 
 
 class ClosestApproach:
-    """Follows a path for its closest approach to the origin."""
+    """Estimator of the closest approach of a path to the origin."""
 
     def __init__(self) -> None:
         self._exact = math.inf
-        # by the half that chooses: its smallest square, and the other half's there with variance
+        # for each choosing half: its smallest upper limit of the squared distance, and the squared
+        # distance of the other half at that position, with its variance
         self._chosen = [math.inf, math.inf]
         self._squares = [math.nan, math.nan]
         self._variances = [math.nan, math.nan]
 
     def add_exact(self, distance: float) -> None:
-        """Add a position that is known without noise, m from the origin."""
+        """Add a position that is known without noise, by its distance from the origin, m."""
         self._exact = min(self._exact, distance)
 
     def add(self, halves: tuple[Half, Half]) -> None:
-        """Add a position by both halves of the measurements."""
+        """Add a position as estimated from each half of the measurements."""
         for k, (choosing, other) in enumerate((halves, halves[::-1])):
-            # of two distances the one that is known better
+            # of two similar distances, prefer the more certain distance
             upper = choosing.square + _PENALTY * math.sqrt(choosing.variance)
             if upper < self._chosen[k]:
                 self._chosen[k] = upper
@@ -69,10 +72,10 @@ class ClosestApproach:
 
     @property
     def estimate(self) -> tuple[float, float]:
-        """The closest approach and its standard error, m; the error is 0 for an exact path.
+        """The closest approach and its standard error, m; the error is 0 if the value is exact.
 
-        If noise hides whether the closest approach is 0, the error is infinite and the first number
-        is an upper limit.  Without a position the first number is infinite.
+        If the closest approach is not significantly above 0, the error is infinite and the first
+        number is an upper limit.  If no position was added, the first number is infinite.
         """
         if math.isnan(self._squares[0]):
             return self._exact, 0.0

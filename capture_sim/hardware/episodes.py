@@ -1,4 +1,4 @@
-"""Contact episodes: motion of the vehicles, the law fitted to the rig, and their agreement."""
+"""Contact episodes: motion of the vehicles, law fitted to the rig, and their comparison."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from capture_sim.hardware.fit import LawEstimate, fit_touch
 from capture_sim.hardware.law import Penetration, WallLaw, Walls
 from capture_sim.hardware.stage import LoopStage, SafeStopError, StageState
 
-#: Restitution is held if it is within this share of the rig's.
+#: Relative error of the restitution, compared with the rig's, up to which the restitution is held.
 TOLERANCE = 0.05
-#: A law that misses more than this share of the peak force does not describe the contact.
+#: Largest rms misfit of a law that describes the contact, as a share of the peak force.
 MAX_MISFIT = 0.05
-#: The loop stops after so many episodes in a row in which rig and law disagree.
+#: Number of successive episodes with disagreement of rig and law after which the loop stops.
 MAX_DISAGREEMENTS = 3
 #: Divisor of the stiffness after a contact that the rig did not feel.
 SOFTENING = 4.0
-#: Steps of a comparison within one of the loop; it ends so many steps after its contact.
+#: Steps of a comparison in each step of the loop; smallest number of steps after its contact.
 TWIN_STEPS, MIN_FREE_STEPS = 2, 5
-#: A slower approach has no restitution, m/s.
+#: Lowest approach speed for which a restitution is computed, m/s.
 MIN_APPROACH = 1e-4
 
 
@@ -39,29 +39,29 @@ class ContactEpisode:
     rig_peak_force: float = 0.0  # N, that the load cell has read
     # separation speed of the vehicles over approach speed; NaN if only the rig or the law touched
     restitution: float = math.nan
-    # the law fitted to what the rig measured; None if it was not touched
+    # law fitted to the rig's measurements; None if there is none
     rig: LawEstimate | None = None
-    # restitution of the same vehicles on walls of that law; NaN if not known
+    # restitution of the same vehicles on walls with the fitted law; NaN if not known
     rig_restitution: float = math.nan
-    # True if both are within 5 % of each other, None if that is not known
+    # True if both restitutions agree within 5 %, None if the comparison is not possible
     is_held: bool | None = None
 
 
 @dataclass
 class _Course:
-    """The data of an episode that the comparison with the rig's law needs."""
+    """Data of an episode for its comparison with the rig's law."""
 
     states: list[StageState]  # of the stage, up to the first force
     wall: Penetration  # at the first force
-    energy: float  # J, before
+    energy: float  # J, before the first force
 
 
 class Episodes:
-    """Follows contact episodes; fits a law to each and compares the vehicles' motion with it.
+    """Tracks contact episodes, fits a law to each and compares the vehicles' motion with it.
 
-    ``is_model`` is True if a law acts on the vehicles; the fitted law then replaces it.
-    ``estimate`` is the present estimate of the rig's law.  ``next_law`` is the law that acts next,
-    None for the present one.
+    ``is_model``: True if a law acts on the vehicles; each fitted law replaces it.  ``estimate``:
+    the latest law with its uncertainty.  ``next_law``: the law to set next, None to keep the
+    present law.
     """
 
     def __init__(
@@ -86,16 +86,20 @@ class Episodes:
 
     @property
     def is_comparing(self) -> bool:
-        """True if an episode is still compared with the rig."""
+        """True while an episode is being compared with the rig."""
         return self._comparison is not None
 
     def work(self) -> None:
-        """Do an iteration of the fit, or a step of the comparison."""
+        """Do one iteration of the fit, or one piece of the comparison."""
         if self._comparison is not None and next(self._comparison, self) is self:
             self._comparison = None
 
     def observe(self, states: list[StageState], rig_force: float | None) -> None:
-        """Take note of a step: the states before it (newest last), the rig's force in touch (N)."""
+        """Update the present episode after a step.
+
+        ``states``: states before the step, newest last.  ``rig_force``: force of the rig's contact,
+        N; None outside contacts.
+        """
         stage = self._stage
         forces = stage.forces
         n_loaded = int(np.count_nonzero(forces))
@@ -112,7 +116,10 @@ class Episodes:
         episode.rig_peak_force = max(episode.rig_peak_force, rig_force or 0.0)
 
     def has_ended(self, answered: float, servo_lag: float) -> bool:
-        """Return True if the present episode is over, by the stamp of the latest answer (s)."""
+        """Return True if the present episode is over.
+
+        ``answered``: stamp of the latest answer, s.  ``servo_lag``: lag of the rig's tip, s.
+        """
         if self.present is None or self._last_loaded == self._stage.t:
             return False
         settling = max(5.0 * self._stage.step, 2.0 * servo_lag, 0.25 * self.present.duration)
@@ -127,9 +134,9 @@ class Episodes:
         self._course = _Course(states, wall, states[-1].energy)
 
     def end(self, rows: np.ndarray, noise: float, threshold: float) -> None:
-        """End the present episode and begin the fit of the rig's measurements in it.
+        """End the present episode; start a fit to the rig's measurements if the rig was touched.
 
-        ``rows`` as for :func:`fit_touch`; ``noise`` and ``threshold``, N.
+        ``rows``: the samples for :func:`fit_touch`; ``noise`` and ``threshold`` in N.
         """
         episode, course = self.present, self._course
         assert episode is not None
@@ -147,7 +154,7 @@ class Episodes:
             self._soften(float(rows[:, 1].max(initial=-math.inf)))
 
     def _soften(self, depth: float) -> None:
-        """Note that the rig was not touched, and soften a law that was never fitted."""
+        """Report a contact that the rig did not feel; soften the law if it was never fitted."""
         law = self.estimate.law
         short = -(depth + law.offset)
         text = "the law was in contact, the rig was not"
@@ -167,7 +174,7 @@ class Episodes:
         noise: float,
         threshold: float,
     ) -> Generator[None, None, None]:
-        """Fit a law to the rig and let the vehicles meet it; yields after each piece of work."""
+        """Fit a law to the rig and simulate the vehicles with it; yield after each part."""
         prior, speed = self.estimate, max(episode.approach_speed, MIN_APPROACH)
         if prior.law.stiffness <= 0.0:
             duration = max(episode.duration, self._stage.step)
@@ -195,19 +202,19 @@ class Episodes:
     def _restitution_on(
         self, law: WallLaw, episode: ContactEpisode, course: _Course
     ) -> Generator[None, None, float]:
-        """Return the restitution of the vehicles on walls of a law, from where they came."""
+        """Return the restitution of the same approach on walls with this law; NaN if not known."""
         twin = self._twin
         for state in reversed(course.states):
             twin.restore(state)
             if self._walls.deepest(twin.tip).depth + law.offset < 0.0:
                 break
         else:
-            return math.nan  # they were in the wall all the time
+            return math.nan  # the tip was in the wall in every state
         twin.set_law(law)
         loaded = free = 0
         while not loaded or free < max(MIN_FREE_STEPS, 0.25 * loaded):
             if twin.t > self._stage.t:
-                return math.nan  # they meet no such wall, or do not leave it
+                return math.nan  # the tip does not touch this wall, or does not leave it
             for _ in range(TWIN_STEPS):
                 try:
                     twin.take_step()
@@ -220,7 +227,7 @@ class Episodes:
         return separation / max(episode.approach_speed, MIN_APPROACH)
 
     def _judge(self, episode: ContactEpisode, found: LawEstimate) -> None:
-        """Compare the restitution of the vehicles with that on the rig's law."""
+        """Compare the restitution of the vehicles with their restitution on the rig's law."""
         ours, rigs = episode.restitution, episode.rig_restitution
         if math.isnan(ours) or math.isnan(rigs):
             return

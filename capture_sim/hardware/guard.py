@@ -1,8 +1,8 @@
-"""The guard of the loop: nothing reaches rig or vehicles but through its checks.
+"""The guard of the loop: it checks all positions, wrenches and steps.
 
-The loop has no other way to send a position (:meth:`Guard.send`), to use a wrench
-(:meth:`Guard.check_wrench`, :meth:`Guard.check_answer`) or to move the vehicles
-(:meth:`Guard.take_guarded_step`).  Each raises SafeStopError beyond a limit.
+The loop sends positions only through :meth:`Guard.send`.  It uses wrenches only after
+:meth:`Guard.check_wrench` and :meth:`Guard.check_answer`, and moves the vehicles only with
+:meth:`Guard.take_guarded_step`.  Each raises SafeStopError beyond a limit.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from capture_sim.hardware.law import NO_LAW, NO_WRENCH, Penetration, TipState, W
 from capture_sim.hardware.stage import LoopStage, SafeStopError, StageState
 from capture_sim.scene.quantities import Range, quantity
 
-#: States of the stage before its latest steps.
+#: Number of stored states of the stage, one before each of its latest steps.
 HISTORY = 128
-#: Trials that find the share of a wrench that the energy limit leaves.
+#: Largest number of trial steps to find the share of a wrench that the energy limit permits.
 _TRIALS = 3
-#: Share of the energy limit that is left for round-off.
+#: Share of the energy limit that is reserved for round-off.
 _MARGIN = 1e-3
-#: So many identical readings in a row, and so many times the longest such row at rest, are of a
-#: cell that no longer measures.
+#: A load cell has failed if a row of identical readings is longer than the first number and longer
+#: than the second number times the longest such row at rest.
 _FROZEN_READINGS, _FROZEN_ROWS = 10, 3
-#: Stiffness of the softest wall where no law is known, N/m.
+#: Stiffness of the softest expected wall if no law is known, N/m.
 _LEAST_STIFFNESS = 500.0
-#: A wall may be this much softer than its law.
+#: Stiffness of the softest expected wall, as a share of its law's stiffness.
 _LEAST_SHARE = 0.05
 
 
 @dataclass(frozen=True)
 class LoopLimits:
-    """The limits whose violation stops the loop."""
+    """Limits beyond which the loop stops."""
 
     energy: float = quantity(
         "J", Range(0.0, 1e6), default=0.02, doc="energy that the loop may add to the vehicles"
@@ -60,17 +60,17 @@ class LoopLimits:
 
 
 def _check(name: str, value: float, unit: str, limit: float, hint: str = "") -> None:
-    """Raise SafeStopError if a value is beyond its limit, or not a number."""
+    """Raise SafeStopError if a value is above its limit or NaN."""
     if not value <= limit:
         raise SafeStopError(f"{name} = {value:.4g} {unit}: must be <= {limit:g}{hint}")
 
 
 class Guard:
-    """The limits of a loop for the rig and for the vehicles.
+    """Applies the limits of a loop to positions, wrenches and steps.
 
-    ``law`` is the expected contact.  ``excess`` (J) is the largest rise of the vehicles' energy
-    above its minimum before the touch.  ``withheld`` (J) is the energy that scaled wrenches would
-    have added.  ``history`` has states of the stage before its latest steps, the newest last.
+    ``law``: the expected contact law.  ``excess`` (J): largest rise of the vehicles' energy above
+    its minimum before the touch.  ``withheld`` (J): energy that the limit has withheld by scaling
+    wrenches down.  ``history``: states of the stage before its latest steps, newest last.
     """
 
     def __init__(self, stage: LoopStage, limits: LoopLimits, law: WallLaw = NO_LAW) -> None:
@@ -78,7 +78,7 @@ class Guard:
         self._expected = WallLaw(_LEAST_STIFFNESS, offset=law.offset)
         if law.stiffness > 0.0:
             self._expected = replace(law, stiffness=_LEAST_SHARE * law.stiffness, damping=0.0)
-        self._reference = stage.energy  # J, the least before the touch
+        self._reference = stage.energy  # J, minimum before the touch
         self._sent: deque[TipState] = deque(maxlen=2)
         self._max_row = math.inf  # identical readings in a row
         self._row, self._reading = 1, NO_WRENCH
@@ -88,9 +88,9 @@ class Guard:
     # to the rig
 
     def send(self, pose: TipState) -> TipState:
-        """Return a position that may be sent: not too far, fast or abrupt after the two before it.
+        """Check the speed and acceleration of a position against the limits, and return it.
 
-        The first position is one at rest.
+        The two previous positions give speed and acceleration.  The first position is at rest.
         """
         limits, step = self._limits, self._stage.step
         if not self._sent:
@@ -108,22 +108,22 @@ class Guard:
     # from the rig
 
     def check_rest(self, readings: Sequence[Wrench], bias: Wrench) -> None:
-        """Check the readings at rest; learn how long a row of identical ones is without a fault."""
+        """Check the readings at rest; set the longest row of identical readings without a fault."""
         hint = " (bias_limit); the tip is in contact, or the load cell must be tared"
         _check("force at rest", bias.force, "N", self._limits.bias, hint)
         rows = [len(list(row)) for _, row in itertools.groupby(readings)]
-        if len(rows) > 1:  # else there is no noise by which to know
+        if len(rows) > 1:  # otherwise there is no noise to compare with
             self._max_row = max(_FROZEN_READINGS, _FROZEN_ROWS * max(rows))
 
     def check_wrench(self, wrench: Wrench) -> None:
-        """Check a wrench without bias; also one that comes too late to be used."""
+        """Check force and torque of a wrench without bias, even if it is too late to be used."""
         _check("force on the rig", wrench.force, "N", self._limits.force)
         _check("torque on the rig", wrench.torque, "N m", self._limits.torque)
 
     def check_answer(self, reading: Wrench, push: float, wall: Penetration, lag: float) -> None:
-        """Check one instant: a raw reading, its force off the wall (N), and the tip's position.
+        """Check a raw reading and its push off the wall (N) against the tip's penetration.
 
-        ``lag``: by how much the tip may be behind that, s.
+        ``lag``: largest time by which the actual tip may be behind that penetration, s.
         """
         self._row = self._row + 1 if reading == self._reading else 1
         self._reading = reading
@@ -154,10 +154,10 @@ class Guard:
         self._reference = min(self._reference, self._stage.energy)
 
     def take_guarded_step(self, wrench: Wrench, *, is_correction: bool = False) -> None:
-        """Move the vehicles by one step; scale down a wrench that adds too much energy.
+        """Advance the vehicles one step; scale the wrench down if it would add too much energy.
 
-        A correction of a law may add no energy.  For all other wrenches, SafeStopError if the
-        withheld energy exceeds the limit too.
+        A correction of a law may add no energy.  SafeStopError if the added energy exceeds the
+        limit, or if the energy withheld from other wrenches exceeds it.
         """
         stage, limit = self._stage, self._limits.energy
         before, energy = stage.saved(), stage.energy
@@ -179,8 +179,8 @@ class Guard:
     def _repeat_step_within(self, limit: float, wrench: Wrench, before: StageState) -> None:
         """Repeat a step with a share of the wrench that keeps the energy below a limit, J.
 
-        The peak energy is a convex function of the share, as in any linear system.  Therefore the
-        chord through a share that is small enough and one that is too large gives another share
+        The peak energy is a convex function of the share, as in a linear system.  So the chord
+        through a share that is small enough and a share that is too large gives a further share
         that is small enough.
         """
         stage, high, share = self._stage, self._stage.peak_energy, 0.0

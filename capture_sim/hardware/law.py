@@ -1,4 +1,4 @@
-"""The walls' contact law outside of the bench: on a rig, and in the fit."""
+"""The contact law of the walls outside the bench: for the loop, the simulated rig and the fit."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def _wall_forces(
 
 @entry_kernel
 def _friction_shares(slip: np.ndarray, shares: np.ndarray) -> None:
-    """Write the regularised friction of a coefficient 1 at each slip over slip_speed."""
+    """Write the regularised friction coefficient for mu = 1 at each slip / slip_speed."""
     for i in range(slip.size):
         shares[i] = friction_coefficient(slip[i], 1.0, 0.0, FrictionLaw.TANH)
 
 
 class Wrench(NamedTuple):
-    """On the tip, about its centre, in the axes of target/cone.
+    """Wrench on the tip, about its centre, in the axes of target/cone.
 
     The vehicles move in the plane: only ``fx``, ``fy`` and ``tz`` do work on them.
     """
@@ -67,20 +67,23 @@ NO_WRENCH = Wrench()
 
 
 class TipState(NamedTuple):
-    """The tip's centre in the frame target/cone: origin in the middle of BE, x to the target."""
+    """Pose and velocity of the tip's centre in the frame target/cone.
+
+    The origin is in the middle of BE, the inner edge of the cone; x points to the target.
+    """
 
     t: float  # s
     x: float  # m
     y: float  # m
     theta: float  # rad, of the probe
-    vx: float  # m/s, against the target
+    vx: float  # m/s, relative to the target
     vy: float
     omega: float  # rad/s
 
 
 @dataclass(frozen=True)
 class WallLaw:
-    """F_n = max(0, d^p (k + c d')) at a penetration d, and friction against the slip."""
+    """Contact law: F_n = max(0, d^p (k + c d')) at penetration d, and friction against the slip."""
 
     stiffness: float = quantity(
         "N/m^p",
@@ -105,11 +108,14 @@ class WallLaw:
     slip_speed: float = 1e-3  # m/s
 
     def duration(self, mass: float, speed: float) -> float:
-        """Return the duration (s) of an elastic touch of a mass (kg) at this speed (m/s)."""
+        """Return the duration (s) of an elastic touch of a mass (kg) at an approach speed (m/s)."""
         return self._duration_factor * self._peak_depth(mass, speed) / speed
 
     def lasting(self, mass: float, speed: float, duration: float) -> WallLaw:
-        """Return the elastic law with this exponent whose touch of a mass lasts so long (s)."""
+        """Return the elastic law with this exponent whose touch has a given duration (s).
+
+        ``mass`` in kg, approach ``speed`` in m/s.
+        """
         n, depth = self.exponent + 1.0, duration * speed / self._duration_factor
         stiffness = 0.5 * n * mass * speed**2 / depth**n
         return replace(self, stiffness=stiffness, damping=0.0)
@@ -125,7 +131,7 @@ class WallLaw:
         return 2.0 / n * math.gamma(1.0 / n) * math.gamma(0.5) / math.gamma(1.0 / n + 0.5)
 
     def peak_force(self, mass: float, speed: float) -> float:
-        """Return the peak force (N) of that touch."""
+        """Return the peak force (N) of an elastic touch of a mass (kg) at a speed (m/s)."""
         return float(self.stiffness * self._peak_depth(mass, speed) ** self.exponent)
 
     def _peak_depth(self, mass: float, speed: float) -> float:
@@ -133,7 +139,7 @@ class WallLaw:
         return float((0.5 * n * mass * speed**2 / self.stiffness) ** (1.0 / n))
 
     def normal_forces(self, depth: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Return the normal force (n,), N, at depths in the scene's wall (m) and rates (m/s)."""
+        """Return the normal force (n,), N, at depths (m) in the scene's wall and rates (m/s)."""
         force = np.empty(len(depth))
         _wall_forces(depth + self.offset, rate, self.damping, records(self.elastic), force)
         return force
@@ -156,7 +162,7 @@ NO_LAW = WallLaw(0.0)
 
 
 class Penetration(NamedTuple):
-    """The tip in a wall: penetration and distance (m), rates (m/s), normal in target's axes."""
+    """Depth and distance (m) of the tip in a wall, rates (m/s), normal in the target's axes."""
 
     depth: float  # below 0 outside
     rate: float
@@ -173,11 +179,11 @@ class Walls:
         self._wall, self._radius = scene.cone.wall, scene.probe.tip_radius
 
     def penetrations(self, tip: TipState) -> tuple[Penetration, Penetration]:
-        """Return how far the tip is in each wall, where the scene has them."""
+        """Return the penetration of the tip in each wall, at the scene's position of the walls."""
         return self._penetration(tip, 1.0), self._penetration(tip, -1.0)
 
     def deepest(self, tip: TipState) -> Penetration:
-        """Return the penetration of the wall that the tip is deepest in, or nearest to."""
+        """Return the penetration in the wall that the tip is deepest in, or closest to."""
         return max(self.penetrations(tip))
 
     def _penetration(self, tip: TipState, side: float) -> Penetration:
@@ -188,11 +194,11 @@ class Walls:
         return Penetration(self._radius - distance, rate, nx, ny, slip, distance)
 
     def wrench(self, law: WallLaw, tip: TipState) -> Wrench:
-        """Return the force of walls of this law on the tip."""
+        """Return the wrench of walls with this law on the tip."""
         fx = fy = torque = 0.0
         for side in (1.0, -1.0):
             distance = _nearest_on_wall(-tip.x, side * tip.y, *self._wall)[0]
-            if self._radius - distance + law.offset <= 0.0:  # outside, as nearly always
+            if self._radius - distance + law.offset <= 0.0:  # outside: the usual case
                 continue
             wall = self._penetration(tip, side)
             depth = wall.depth + law.offset

@@ -1,14 +1,15 @@
-"""The loop: what acts on the vehicles, and what the rig is sent.
+"""The loop: the wrench that acts on the vehicles, and the positions that are sent to the rig.
 
 ``none``
-    The rig's wrench is held over each step.
+    The rig's wrench is applied with a zero-order hold over each step.
 ``prediction``
-    The rig is sent the position where the tip will be when the answer is used, by its velocity.
+    The rig is sent the position that the tip will have when the answer is used.  The position is
+    extrapolated with the tip's velocity.
 ``model``
-    A law of the walls acts in the vehicles' own steps, and with it the residual: by how much the
-    rig's wrench differs from that law at the rig's tip.  The longer the lag is against the touch,
-    the smaller is the share of the residual, down to none.  After each contact the law is fitted
-    to what the rig has measured.
+    A law of the walls acts in the integration of the vehicles, together with a residual: the rig's
+    wrench minus the wrench of the law at the rig's tip.  A share of the residual acts; it falls to
+    zero as the lag grows relative to the duration of the touch.  After each contact the law is
+    fitted to the rig's measurements.
 """
 
 from __future__ import annotations
@@ -33,24 +34,26 @@ from capture_sim.hardware.stage import LoopStage, SafeStopError
 
 METHODS = ("none", "prediction", "model")
 
-#: A contact begins at so many standard deviations of the cell's noise and ends at half of them.
+#: Force at which a contact begins, in standard deviations of the load cell's noise.  The contact
+#: ends at half of this force.
 THRESHOLD_DEVIATIONS = 6.0
-#: ... and at least at this force, N.
+#: Smallest force at which a contact begins, N.
 MIN_THRESHOLD = 0.01
-#: Answers at rest from which bias and noise are taken.
+#: Number of answers at rest that give bias and noise of the load cell.
 N_AT_REST = 100
-#: The rig's tip is at the first position if it is not farther from it, m.
+#: Largest distance of the rig's tip from the first position at which the loop may start, m.
 MAX_START_DISTANCE = 1e-3
-#: Shares of the touch's duration: up to this lag the whole residual acts, from that on none.
+#: Lag as a share of the touch's duration: up to the first value the full residual acts, from the
+#: second on none.
 FULL_RESIDUAL, NO_RESIDUAL = 0.1, 0.2
-#: Steps between two updates of that share, which cost as much as a step.
+#: Steps between two updates of the residual's share; an update costs as much as a step.
 RESIDUAL_PERIOD = 10
-#: Positions that are kept for their answers.
+#: Number of sent positions that are kept until their answers arrive.
 MAX_SENT = 2048
 
 
 def _load_law() -> None:
-    """Import the modules for a fit of the walls before the loop runs, so that no step waits."""
+    """Load the kernels that a fit of the walls needs, so that no step waits for them."""
     law, some = WallLaw(1.0, damping=1.0), np.ones(1)
     law.restitution(1.0)
     law.normal_forces(some, some)
@@ -58,15 +61,16 @@ def _load_law() -> None:
 
 
 class Loop:
-    """Goes step by step with the wrenches that come, and returns what the rig is to be sent.
+    """Advances the vehicles step by step under the rig's wrenches; returns the positions to send.
 
-    First the rig answers the position at rest, :attr:`pose`, ``N_AT_REST`` times; :meth:`begin`
-    takes bias and noise from that.  Then :meth:`receive` for each answer and :meth:`advance` for
-    each step.  From rest the positions run up to the vehicles' first speed within ``run_up`` (s),
-    before the time 0.
+    First the rig answers the position at rest, :attr:`pose`, ``N_AT_REST`` times, and :meth:`begin`
+    computes bias and noise from these answers.  Then call :meth:`receive` for each answer and
+    :meth:`advance` for each step.  Within ``run_up`` (s) before time 0, the positions accelerate
+    from rest to the vehicles' first speed.
 
-    ``method`` is of :data:`METHODS`, ``law`` what is assumed of the walls at first.  ``threshold``
-    (N): where a contact begins; 0 for six standard deviations of the cell's noise at rest.
+    ``method`` is one of :data:`METHODS`, ``law`` the initial law of the walls.  ``threshold`` (N)
+    is the force at which a contact begins; 0 selects six standard deviations of the cell's noise
+    at rest, and at least ``MIN_THRESHOLD``.
     """
 
     def __init__(
@@ -94,7 +98,7 @@ class Loop:
         self._sent = {self._index: self.pose}
         self.lags, self.contact = Lags(), RigContact(threshold)
         self._samples: deque[tuple[float, ...]] = deque(maxlen=2048)
-        self.start_distance = 0.0  # m, of the rig's tip from the first position, before the start
+        self.start_distance = 0.0  # m, from the rig's tip to the first position, before the start
         self.notes: list[str] = []
         self._episodes = Episodes(stage, self._walls, law, method == "model", self._note)
         self.law, self._residual_share, self._max_residual = NO_LAW, 0.0, 0.0
@@ -115,7 +119,7 @@ class Loop:
 
     @property
     def energy_withheld(self) -> float:
-        """Energy that the scaled-down part of wrenches would have added to the vehicles, J."""
+        """Energy that the limit has withheld by scaling wrenches down, J."""
         return self._guard.withheld
 
     @property
@@ -125,36 +129,36 @@ class Loop:
 
     @property
     def estimate(self) -> LawEstimate:
-        """The present estimate of the rig's law."""
+        """Latest estimate of the rig's law."""
         return self._episodes.estimate
 
     @property
     def lag(self) -> float:
-        """From a position to the effect of its wrench, s: latency, servo, cell, half a step."""
+        """Time from a position to the effect of its wrench, s: latency, servo, cell, half step."""
         lags, step = self.lags, self.stage.step
         return lags.latency + lags.servo + max(self.estimate.lag, 0.0) + 0.5 * step
 
     @property
     def known_lag(self) -> float | None:
-        """The lag as a measurement, s; None if it exceeds the limit of the latency.
+        """Measured lag, s; None if it exceeds the latency limit.
 
-        No answer is that old.  Such a lag results e.g. if the rig's tip does not follow the
-        positions.
+        A lag above the limit is not plausible, because no wrench in use is that old.  It occurs
+        e.g. if the rig's tip does not follow the positions.
         """
         return self.lag if self.lag <= self._limits.latency else None
 
     # steps
 
     def begin(self) -> None:
-        """Take the cell's bias and noise at rest; SafeStopError if it is loaded."""
+        """Determine the load cell's bias and noise at rest; SafeStopError if the cell is loaded."""
         self.answers.tare()
         noise = THRESHOLD_DEVIATIONS * self.answers.noise
         self.contact.threshold = self.contact.threshold or max(noise, MIN_THRESHOLD)
 
     def receive(self, stamp: float, wrench: Wrench, tip: TipState | None = None) -> None:
-        """Take in an answer of the rig, see :meth:`Answers.offer`; SafeStopError beyond a limit.
+        """Process an answer of the rig, see :meth:`Answers.offer`; SafeStopError beyond a limit.
 
-        Before the first step, only answers of a tip at the first position count as at rest.
+        Before the first step, an answer is rejected unless the rig's tip is at the first position.
         """
         is_at_start = self._index == -self._run_up.n_steps and abs(stamp - self.t) < 1e-9
         if is_at_start and not self._is_in_place(tip):
@@ -166,16 +170,16 @@ class Loop:
             self._record(answer, wrench)
 
     def _is_in_place(self, tip: TipState | None) -> bool:
-        """Note how far the rig's tip is from the first position; return True if it is there.
+        """Return True if the rig's tip is at the first position, and store its distance.
 
-        The tip is where it was last measured.
+        Without a new measurement, the last distance is used.
         """
         if tip is not None:
             self.start_distance = math.hypot(tip.x - self.pose.x, tip.y - self.pose.y)
         return self.start_distance <= MAX_START_DISTANCE
 
     def advance(self) -> TipState:
-        """Go one step; return the position to send.  SafeStopError at a limit."""
+        """Advance one step and return the position to send; SafeStopError at a limit."""
         self.answers.check_latency(self.t)
         self.lags.add_latency(self.t - self.answers.latest.stamp)
         if self._index >= 0:
@@ -193,7 +197,7 @@ class Loop:
         return self.pose
 
     def _move_vehicles(self) -> None:
-        """Move the vehicles one step, and follow the contact."""
+        """Advance the vehicles one step and update the contact episode."""
         episodes = self._episodes
         if episodes.present is None:
             self._guard.note_free_motion()
@@ -231,10 +235,10 @@ class Loop:
         return Wrench(share * fx, share * fy, tz=share * (measured.tz - expected.tz))
 
     def _update_residual_share(self) -> None:
-        """Set the share of the residual in the next contact, and its largest force.
+        """Set the share of the residual in the next contact, and the largest force of the residual.
 
-        The contact between both vehicles decides it, or that of the probe alone if the buffer is
-        softer.
+        Both follow from the elastic touch of the vehicles' effective mass.  If the buffer is softer
+        than the wall, the mass of the probe is used instead.
         """
         scene, law, tip = self.stage.scene, self.law, self.stage.tip
         wall = self._walls.deepest(tip)
@@ -248,7 +252,7 @@ class Loop:
         self._max_residual = law.peak_force(mass, speed)
 
     def _record(self, answer: Answer, reading: Wrench) -> None:
-        """Note the rig's measurement, and whether it is in contact."""
+        """Check and store a measurement of the rig, and update the contact state."""
         index = round(answer.stamp / self.stage.step)
         sent = self._sent.get(index)
         if sent is None:
@@ -277,14 +281,14 @@ class Loop:
         self._episodes.end(rows, noise, self.contact.threshold)
 
     def end(self) -> None:
-        """Note a contact that the end of the run leaves without comparison with the rig's."""
+        """Add a note if the run ends within a contact or before its comparison with the rig."""
         if self._episodes.present is not None:
             self._note("the run ended within a contact: its restitution is not known")
         if self._episodes.is_comparing:
             self._note("the run ended before the contact was compared with the rig's")
 
     def _is_clear(self, law: WallLaw) -> bool:
-        """Return True if the tip is outside of the walls of this law and of the present one."""
+        """Return True if the tip is outside the walls of this law and of the present law."""
         depth = self._walls.deepest(self.stage.tip).depth
         return depth + max(law.offset, self.law.offset) < 0.0
 
@@ -297,14 +301,17 @@ class Loop:
 
 
 class RigLink(Protocol):
-    """A rig and the way to it."""
+    """A rig together with its transport."""
 
     def answer(self, pose: TipState) -> Sequence[Answer]:
-        """Take a position; return the answers that come until the next one is sent."""
+        """Accept a position; return the answers that arrive before the next position is sent."""
 
 
 def run_in_process(loop: Loop, rig: RigLink, t_end: float) -> str:
-    """Run a loop in one process, up to a time (s); return why it stopped, empty at its end."""
+    """Run a loop in one process up to ``t_end`` (s).
+
+    Return the reason for an early stop, empty if there was none.
+    """
     try:
         for _ in range(N_AT_REST):
             for answer in rig.answer(loop.pose):

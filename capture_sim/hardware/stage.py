@@ -1,4 +1,4 @@
-"""Vehicles and buffer: the ordinary bench, in steps of fixed length, with a wrench on its tip."""
+"""Vehicles and buffer in the loop: the bench in steps of fixed length, with a wrench on its tip."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from capture_sim.run.simulation import simulate
 from capture_sim.scene.geometry import tip_motion
 from capture_sim.scene.parts import Scene
 
-#: Samples of a step, from which forces and energy within it are read.
+#: Number of samples in a step; they give the forces and the energy within the step.
 N_SAMPLES = 10
 
 _tip_motion = plain(tip_motion)
@@ -33,7 +33,7 @@ class StageState(NamedTuple):
 
     bench: Checkpoint
     steps: int
-    samples: np.ndarray  # of the step before, of dtype SAMPLE
+    samples: np.ndarray  # of the last step, of dtype SAMPLE
 
     @property
     def energy(self) -> float:
@@ -47,10 +47,10 @@ def _energies(samples: np.ndarray) -> np.ndarray:
 
 
 def state_after_rail(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return coordinates (8,) and rates (8,) with which the chaser leaves its rail.
+    """Return coordinates (8,) and rates (8,) of the bench when the chaser leaves its rail.
 
-    A scene's rail ends before the first touch and after the hanging mass has landed; SceneError if
-    the chaser does not get that far.
+    A scene's rail ends before the first touch and after the hanging mass has landed.  SceneError if
+    the chaser does not reach the end of the rail.
     """
     for event in simulate(scene).events:
         if event.kind == EventKind.RAIL_END:
@@ -59,12 +59,12 @@ def state_after_rail(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 class LoopStage:
-    """Vehicles, buffer, supports, stroke stops and latch, under an external wrench on the tip.
+    """Vehicles, buffer, supports, stroke stops and latch, with an external wrench on the tip.
 
-    The wrench is held over each ``step`` (s).  With a rail the stage starts where the chaser leaves
-    it.  After the latch has closed, the wrench no longer acts.  The walls of the scene do not act;
-    see :meth:`set_law`.  ``state`` has the initial coordinates (8,) and rates (8,), None for those
-    of the scene.
+    The wrench is constant over each ``step`` (s).  With a rail, the stage begins where the chaser
+    leaves the rail.  After the latch has closed, the wrench has no effect.  The walls of the scene
+    do not act; see :meth:`set_law`.  ``state``: initial coordinates (8,) and rates (8,); None for
+    the initial state of the scene.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class LoopStage:
         self._count = 0
         self.set_law(NO_LAW)
         self._bench.drive_tip((0.0, 0.0, 0.0), 0.0)
-        # the kernels are loaded, or compiled, now: within the loop each would cost a wrench
+        # load or compile the kernels now: within the loop, each would delay a wrench
         self._samples = in_worker(lambda: self._bench.advance(np.zeros(1)))
 
     @property
@@ -100,7 +100,7 @@ class LoopStage:
 
     @property
     def tip(self) -> TipState:
-        """Where the tip is now."""
+        """Present pose and velocity of the tip."""
         q, v = self._samples["q"][-1].tolist(), self._samples["v"][-1].tolist()
         angles = [f(q[i]) for i in (2, 3, 7) for f in (math.sin, math.cos)]
         x, y, vx, vy = _tip_motion([*q, *v], self.scene.buffer.hinge_offset, *angles)
@@ -110,14 +110,14 @@ class LoopStage:
     def energy(self) -> float:
         """Energy that vehicles, springs and law have gained since the start, J.
 
-        Energy that the dampers of buffer, stops and latch dissipate is included.  So only the
-        wrench can raise this energy, and damping and friction of the law lower it.
+        It includes the energy that the dampers of buffer, stops and latch have dissipated.  So only
+        the wrench can raise this energy; damping and friction of the law lower it.
         """
         return float(_energies(self._samples)[-1])
 
     @property
     def peak_energy(self) -> float:
-        """The largest of :attr:`energy` within the last step, J; NaN where it is not finite."""
+        """Largest :attr:`energy` within the last step, J; NaN if the energy is not finite."""
         return float(_energies(self._samples).max())
 
     @property
@@ -142,10 +142,10 @@ class LoopStage:
         return bool(self._samples["elastic_latch"][-1] > 0.0)
 
     def closing_speed(self, nx: float, ny: float, state: StageState | None = None) -> float:
-        """Return how fast both vehicles approach at the tip, against a normal (target's axes), m/s.
+        """Return the closing speed of the vehicles at the tip, along a normal (target's axes), m/s.
 
-        Of the chaser with its buffer as one rigid body of their momentum and spin: a buffer that
-        rings does not change it.  ``state``: None for the present one.
+        Chaser and buffer count as one rigid body with their total momentum and angular momentum, so
+        oscillations of the buffer do not change the speed.  ``state``: None for the present state.
         """
         samples = self._samples if state is None else state.samples
         chaser, target, tip, normal = self._contact(nx, ny, samples)
@@ -153,14 +153,14 @@ class LoopStage:
         return -float(normal @ speed)
 
     def contact_mass(self, nx: float, ny: float) -> float:
-        """Return the mass, kg, that a contact with this normal moves if the buffer is rigid."""
+        """Return the effective mass, kg, of a contact with this normal if the buffer is rigid."""
         chaser, target, tip, normal = self._contact(nx, ny, self._samples)
         return 1.0 / (chaser.mobility(tip, normal) + target.mobility(tip, normal))
 
     def _contact(
         self, nx: float, ny: float, samples: np.ndarray
     ) -> tuple[RigidBody, RigidBody, np.ndarray, np.ndarray]:
-        """Return chaser and target as rigid bodies, tip and normal in the world's axes."""
+        """Return chaser and target as rigid bodies, and tip and normal in the world's axes."""
         q, v, scene = samples["q"][-1], samples["v"][-1], self.scene
         c, s = math.cos(q[7]), math.sin(q[7])
         along, across = (
@@ -187,7 +187,7 @@ class LoopStage:
         return chaser, target, hinge + q[4] * along, normal
 
     def set_law(self, law: WallLaw) -> None:
-        """Let walls of this law act on the tip, which must be clear of them; see NO_LAW."""
+        """Set the law of the walls, with the tip outside them; NO_LAW removes the walls."""
         self._bench.set_contact(
             law.stiffness, law.exponent, law.damping, law.offset, law.friction, law.slip_speed
         )
@@ -197,12 +197,12 @@ class LoopStage:
         return StageState(self._bench.saved(), self._count, self._samples)
 
     def restore(self, state: StageState) -> None:
-        """Go back to a saved state, and to the law of then."""
+        """Restore a saved state, including its law."""
         self._bench.restore(state.bench)
         self._count, self._samples = state.steps, state.samples
 
     def take_step(self, wrench: Wrench = NO_WRENCH) -> None:
-        """Take one step with this wrench held; SafeStopError if the bench cannot continue."""
+        """Advance one step under a constant wrench; SafeStopError if the bench cannot continue."""
         times = (self._count + self._fractions) * self.step
         self._bench.drive_tip((wrench.fx, wrench.fy, wrench.tz), times[-1])
         try:
@@ -213,7 +213,7 @@ class LoopStage:
 
 
 class RigidBody(NamedTuple):
-    """A body in the plane: kg, kg m2, centre of mass (2,) and its velocity (2,), rad/s."""
+    """A planar rigid body: kg, kg m2, centre of mass (2,), m, its velocity (2,), m/s, and rad/s."""
 
     mass: float
     inertia: float
@@ -227,13 +227,13 @@ class RigidBody(NamedTuple):
         return self.velocity + self.spin * np.array([-y, x])
 
     def mobility(self, point: np.ndarray, normal: np.ndarray) -> float:
-        """Return the speed along a normal that a unit impulse at a point gives there, 1/kg."""
+        """Return the speed of a point along a normal after a unit impulse on it, 1/kg."""
         x, y = point - self.centre
         return float(1.0 / self.mass + (x * normal[1] - y * normal[0]) ** 2 / self.inertia)
 
 
 def joined_body(*bodies: RigidBody) -> RigidBody:
-    """Return the rigid body with the mass, momentum and spin of several bodies."""
+    """Return the rigid body with the total mass, momentum and angular momentum of some bodies."""
     mass = sum(body.mass for body in bodies)
     centre = sum(body.mass * body.centre for body in bodies) / mass
     velocity = sum(body.mass * body.velocity for body in bodies) / mass

@@ -1,4 +1,4 @@
-"""What stays: runs as MCAP files that ROS tools read, and the same files read back as runs.
+"""Recordings: runs written as MCAP files that ROS tools can read, and files read back as runs.
 
 Takes: A ``Run`` or live messages; or a file or folder.
 Gives: A file; or a ``Run``, tables, messages to play.

@@ -1,7 +1,7 @@
-"""A run of :func:`capture_sim.simulate`, of a recording, or of a real bench's bag.
+"""A run from :func:`capture_sim.simulate`, from a recording, or from a real bench's bag.
 
-Detection, comparison, fits, plots, reports and tables accept a :class:`Run`, whatever it comes
-from.  It is an :class:`ExactRun` if the full state is known, else a :class:`MeasuredRun`.
+Detection, comparison, fits, plots, reports and tables accept a :class:`Run` from any of these
+sources.  The run is an :class:`ExactRun` if the full state is known, else a :class:`MeasuredRun`.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from capture_sim.scene.launch_plan import LaunchPlan
     from capture_sim.scene.parts import Scene
 
-#: A force and the buffer show the same contact within this, s.
+#: Maximum time between the onsets of force and buffer deflection that count as one contact, s.
 MAX_CONFIRMED = 0.1
 #: Source of located touches and events: the topic that carries them.
 EVENTS = "bench/event"
@@ -73,10 +73,11 @@ class Check:
     """Comparison of a run with a second, more accurate run.
 
     The second run has a hundredth of the tolerance (with rk4, a quarter of the step).
-    ``error`` is the largest difference of the two runs up to each sample time, an estimate of the
-    first run's error; an angle counts by the displacement that it causes at the tip.  If
-    ``same_touches`` is False, the sequence of touches depends on the tolerance, and the motion
-    after the first difference is not determined.
+    ``error`` is the largest difference of the two runs' coordinates up to each sample time, which
+    estimates the first run's error.  Differences of angles are multiplied by a lever arm: hinge
+    offset plus rest length for the chaser, ``L_T + R_c`` for the target.  If ``same_touches`` is
+    False, the sequence of touches depends on the tolerance, and the motion after the first
+    difference is not determined.
     """
 
     error: np.ndarray  # (n,), m
@@ -96,21 +97,22 @@ class FirstContact(NamedTuple):
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Run(ABC):
-    """One run, whatever it comes from; times are s since the release, units SI.
+    """One run from any source; times are in s since the release, all units are SI.
 
-    What the source of a run gives is in ``given``, empty where it gives nothing.  The properties of
-    the same names on the run itself (``scene``, ``samples``, ``touches``, ``events``, ``statuses``
-    and ``extremes``), ``loads`` and ``summary`` exist for every run that has a scene and poses:
-    they are what is given, or else they are computed from it, once.
+    ``given`` contains the data that the source of the run provides; missing data are empty there.
+    The run's own properties ``scene``, ``samples``, ``touches``, ``events``, ``statuses``,
+    ``extremes``, ``loads`` and ``summary`` exist for every run that has a scene and poses.  Each
+    returns the value in ``given`` if there is one; otherwise it is computed once from the other
+    data.
 
     Attributes
     ----------
     name : str
         Name of the run.
     given : Given
-        What the integration, the recording or the loop gives, e.g. ``given.series``.
+        Data that the integration, the recording or the loop provides, e.g. ``given.series``.
     origin : Origin
-        Where the run comes from, and what made it.
+        Source of the run, and the software that made it.
     wall_time : float or None
         Wall time of the run, s.
     statistics : Statistics or None
@@ -120,7 +122,7 @@ class Run(ABC):
     failure : str
         Reason why the simulation stopped early; empty for a complete run.
     waived : sequence of str
-        Names of rules of plausibility that are not checked.
+        Names of the plausibility rules that are not checked.
 
     Examples
     --------
@@ -146,7 +148,7 @@ class Run(ABC):
     #: True if the full state is known; False for a run known from measurements alone.
     is_exact: ClassVar[bool]
 
-    # what made it
+    # origin
 
     @property
     def scene(self) -> Scene:
@@ -169,9 +171,9 @@ class Run(ABC):
         return not self.problems
 
     def replaced(self: R, **changes: Any) -> R:
-        """Return the run with other attributes, of the run itself or of ``given``.
+        """Return a copy of the run with changed attributes, of the run itself or of ``given``.
 
-        A topic that is not decoded yet stays undecoded.
+        Topics that are not yet decoded are not decoded by this call.
         """
         own = {f.name for f in fields(self)}
         of_source = {name: value for name, value in changes.items() if name not in own}
@@ -187,13 +189,13 @@ class Run(ABC):
 
     @cached_property
     def made_by(self) -> dict[str, Any]:
-        """How the run was made: source, scene, overrides, hash of the scene, seed, software."""
+        """Provenance of the run: source, scene, overrides, hash of the scene, seed, software."""
         made_by: dict[str, Any] = {"source": self.origin.path or "simulated"}
         if self.given.scene is not None:
             made_by |= scene_origin(self.given.scene, self.origin.scene_sha256)
         return {**made_by, "software": list(self.origin.software)}
 
-    # what is given, and nothing else
+    # values of ``given``, returned unchanged
 
     @property
     def series(self) -> SeriesBySource:
@@ -202,7 +204,7 @@ class Run(ABC):
 
     @property
     def plan(self) -> LaunchPlan | None:
-        """Launch as commanded; None if none was recorded."""
+        """Launch as commanded; None if the run contains no launch plan."""
         return self.given.plan
 
     @property
@@ -212,21 +214,25 @@ class Run(ABC):
 
     @property
     def trace(self) -> np.ndarray:
-        """Contact at the ends of the integrator's steps, (k,); empty unless ``run.trace`` asks."""
+        """Contact at the ends of the integrator's steps, (k,); empty without ``run.trace``."""
         return self.given.trace
 
     # measurements
 
     @cached_property
     def doubts(self) -> tuple[Doubt, ...]:
-        """Rules of plausibility that the measurements break, the gravest first.
+        """Plausibility rules that the measurements break, the most serious first.
 
-        The one call for all that judges or fits is :func:`checked`.
+        Code that evaluates or fits measurements calls :func:`checked` instead, which also leaves out
+        doubted topics.
         """
         return doubts_of(self.given.evidence, self.given.scene, self.waived)
 
     def measured(self, quantity: str) -> Series:
-        """Return the series of a quantity: of its first sensor, else of the exact state."""
+        """Return the series of a quantity from its first sensor, else from the exact state.
+
+        Empty series are skipped.
+        """
         sources = self.series.get(quantity, {})
         for name in sorted(sources, key=lambda name: name == STATE):
             if sources[name].t.size:
@@ -240,9 +246,11 @@ class Run(ABC):
 
     @cached_property
     def first_contact(self) -> FirstContact | None:
-        """The first contact: the located event, else of ``bench/contact``, a force or the buffer.
+        """The first contact and its source; None if no contact was found.
 
-        A force that begins where poses allow no contact does not count.
+        The sources, in order of preference, are located events, ``bench/contact``, a measured force
+        and the deflection of the buffer.  A force is ignored if it begins while the poses exclude
+        a contact.
         """
         for event in self.given.events:
             if event.kind is EventKind.TOUCH:
@@ -260,10 +268,12 @@ class Run(ABC):
         return self._contact_of_buffer
 
     def _contact_in(self, force: Series) -> float | None:
-        """Return when a force first shows a contact, s; None if it never does.
+        """Return the time at which a force first shows a contact, s; None if it never does.
 
-        The noise of a moving bench is above that at rest: of a rig, the buffer confirms the first
-        sample above the noise.
+        A moving rig is noisier than a rig at rest, so noise alone may exceed the threshold.  With
+        measured data, the time is therefore compared with the deflection of the buffer.  If they differ by
+        :data:`MAX_CONFIRMED` or more, and the force near the deflection exceeds half of its peak,
+        the time of the deflection is returned.
         """
         first = first_above(force.t, force.values)
         buffer = self._contact_of_buffer if self.given.evidence else None
@@ -275,7 +285,7 @@ class Run(ABC):
 
     @cached_property
     def _contact_of_buffer(self) -> FirstContact | None:
-        """The first deflection of the buffer; None without, and in an exact run."""
+        """The first deflection of the buffer; None if there is none, or in an exact run."""
         stroke, torsion = self.measured("stroke"), self.measured("torsion")
         if self.is_exact or stroke.t.size < MIN_SAMPLES or torsion.t.size != stroke.t.size:
             return None
@@ -287,12 +297,12 @@ class Run(ABC):
 
     @cached_property
     def resolved_touches(self) -> tuple[Touches | None, str]:
-        """The touches that were resolved one by one, and their source; else None and the reason.
+        """The individually resolved touches and their source; None and the reason without any.
 
-        Located touches come first.  Otherwise the source is ``bench/contact``, which counts
-        touches, or a sampled force, whichever has more messages.  The list ends at the first touch
-        that is not resolved.  Peaks are peaks of the normal force; without a scene, of the
-        magnitude of the force.
+        Located touches are preferred.  Otherwise the touches come from the counts in
+        ``bench/contact`` or from a sampled force; the source with more messages is tried first.
+        The list ends before the first touch that cannot be resolved.  Peaks are peaks of the
+        normal force, or of the force's magnitude if the run has no scene.
         """
         if self.given.touches.size:
             return located(self.given.touches), EVENTS
@@ -321,7 +331,7 @@ class Run(ABC):
         return None, "no force"
 
     def _touches_in(self, force: Series, *, is_turned: bool) -> Touches | None:
-        """Return the touches in a force in the tip's axes, or else in the cone's."""
+        """Return the touches in a force in the cone's axes, or the tip's if ``is_turned``."""
         if self.given.scene is None:
             return in_force(force.t, force.values)
         attitude = self._attitude(force.t) if is_turned else np.zeros(force.t.size)
@@ -344,27 +354,27 @@ class Run(ABC):
     def samples(self) -> np.ndarray:
         """Samples (n,) of dtype SAMPLE: the exact state, else the measurements.
 
-        Measured ones are at the stamps of the chaser's poses; quantities that were not measured
-        are NaN.  SceneError without a scene, RecordingError without poses of both vehicles or
-        without the buffer's state.
+        Samples from measurements are at the stamps of the chaser's poses; quantities that were not
+        measured are NaN.  Raises SceneError without a scene, and RecordingError without poses of
+        both vehicles or without the buffer's state.
         """
 
     @property
     @abstractmethod
     def touches(self) -> np.ndarray:
-        """Every touch, (m,) of dtype TOUCH, by its end: located, else measured."""
+        """All touches, (m,) of dtype TOUCH, ordered by their ends: located, else measured."""
 
     @property
     @abstractmethod
     def events(self) -> Sequence[Event]:
-        """Events in order: as logged, else a touch for each that was measured."""
+        """Events in order: as logged, else one TOUCH event for each measured touch."""
 
     @cached_property
     def statuses(self) -> Sequence[CaptureStatus]:
         """Statuses of the detector: as reported, else evaluated now; the last has the verdict.
 
-        Empty if none was reported and a rule of grade *refused* is broken.  A recording that ended
-        before its detector's end is undecided.
+        The sequence is empty if no status was reported and a rule of grade *refused* is broken.  If
+        a recording ended before its detector had finished, the last status is undecided.
         """
         reported = self.given.statuses
         if not reported:
@@ -377,18 +387,18 @@ class Run(ABC):
 
     @cached_property
     def extremes(self) -> Extremes:
-        """Peak loads: located, else from samples, touches and events."""
+        """Peak loads: located by the integrator, else from samples, touches and events."""
         if self.given.extremes is not None:
             return self.given.extremes
         return sampled_extremes(self.scene, self.samples, self.touches, self.events)
 
     @cached_property
     def loads(self) -> dict[str, Any]:
-        """Loads over the entire run and before the latch closes, by name, SI units.
+        """Loads of the complete run and of the time before the latch closes, by name, SI units.
 
-        Examples of names are ``max_torsion`` and ``max_torsion_before_latch``; a name that ends in
-        ``_time`` gives the time of the load.  :data:`capture_sim.run.loads.LOADS` lists names and
-        units.
+        Examples of names are ``max_torsion`` and ``max_torsion_before_latch``.  Each name with the
+        suffix ``_time`` gives the time of the load.  :data:`capture_sim.run.loads.LOADS` lists
+        names and units.
         """
         loads = loads_of(self.extremes, self.touches)
         if self.is_exact or self.given.extremes is not None or not self.statuses:
@@ -428,9 +438,9 @@ class Run(ABC):
 
     @cached_property
     def drawn_scene(self) -> Scene:
-        """The scene as drawn: of a measured run with the vehicles where they were first measured.
+        """The scene as drawn in plots; a measured run is drawn at its first measured poses.
 
-        It has the run's name.
+        The scene drawn for a measured run has the run's name.
         """
         if self.is_exact:
             return self.scene
@@ -479,9 +489,9 @@ class Run(ABC):
         return f"{last.label} after {last.t - last.time_in_state:.6g} s"
 
     def _repr_html_(self) -> str:
-        """The summary as a table, for a notebook."""
+        """Return the summary as an HTML table for a notebook."""
         head = f"<caption>{html.escape(self.scene.title)}</caption>"
-        # a second column of values where a latch closed
+        # if a latch closed, there is a second column of values
         columns = table_rows([self.summary])
         lines = (
             f"<tr><th>{' '.join(filter(None, (group, name)))}</th>"
@@ -497,15 +507,16 @@ class Run(ABC):
         ----------
         table
             ``samples``: one column for each number, indexed by time ``t``; the name of a component
-            contains that of its field, e.g. ``q.x_S``, ``v.theta_P``, ``penetration.+y``.
-            ``touches``: numbered from 0.  ``events``: kind, wall, detail and state, indexed by
-            ``t``.  Otherwise the name of a topic of ``tables``, indexed by ``t``.
+            begins with the name of its field, e.g. ``q.x_S``, ``v.theta_P``, ``penetration.+y``.
+            ``touches``: one row for each touch, numbered from 0.  ``events``: kind, wall, detail
+            and state, indexed by ``t``.  Otherwise the name of a topic of ``tables``, indexed by
+            ``t``.
 
         Returns
         -------
         pandas.DataFrame
-            The table; phases and kinds are categories with their names.  ``attrs["units"]`` has
-            the unit of each column and of the index, empty without one.
+            The table; phases and kinds of events are pandas categories with their names.
+            ``attrs["units"]`` maps each column and the index to its unit, which may be empty.
 
         Raises
         ------
@@ -536,12 +547,12 @@ class Run(ABC):
         MissingPackageError
             matplotlib is not installed.
         """
-        # imported by name: viewing is in a layer above this one
+        # imported by name, because the viewing package is in a layer above this module
         return importlib.import_module("capture_sim").plot(self)
 
 
 class ExactRun(Run):
-    """A run whose full state is known: of a simulation, of its recording, or of a loop."""
+    """A run whose full state is known: simulated, recorded from a simulation, or from a loop."""
 
     is_exact = True
 
@@ -558,7 +569,7 @@ class ExactRun(Run):
 
     @property
     def touches(self) -> np.ndarray:
-        """Every located touch, (m,) of dtype TOUCH, by its end."""
+        """All located touches, (m,) of dtype TOUCH, ordered by their ends."""
         return self.given.touches
 
     @property
@@ -568,7 +579,7 @@ class ExactRun(Run):
 
 
 class MeasuredRun(Run):
-    """A run known only from the measurements of its sensors."""
+    """A run that is known from sensor measurements only."""
 
     is_exact = False
 
@@ -594,7 +605,7 @@ class MeasuredRun(Run):
 
     @cached_property
     def touches(self) -> np.ndarray:
-        """Every touch, (m,) of dtype TOUCH, by its end: located, else measured."""
+        """All touches, (m,) of dtype TOUCH, ordered by their ends: located, else measured."""
         if self.given.touches.size:
             return self.given.touches
         if self._touches_in_samples is not None:
@@ -603,7 +614,7 @@ class MeasuredRun(Run):
 
     @cached_property
     def events(self) -> Sequence[Event]:
-        """Events in order: as logged, else a touch for each that was measured."""
+        """Events in order: as logged, else one TOUCH event for each measured touch."""
         if self.given.events:
             return self.given.events
         return events_of(self.scene, self.samples, self.touches, self._sensors)
@@ -625,26 +636,27 @@ class MeasuredRun(Run):
 
     @cached_property
     def _sensors(self) -> dict[str, Series]:
-        """The series that samples are made of."""
+        """The series from which the samples are made, by quantity."""
         return {name: self.measured(name) for name in self.series}
 
     @cached_property
     def _touches_in_samples(self) -> Touches | None:
-        """The touches between measured samples, if a force shows all of them."""
+        """Located touches, or the touches in a force if it shows all of them; else None."""
         if self.given.touches.size:
             return located(self.given.touches)
         if "in_touch" in self.series:
-            return None  # it has walls and counts
+            return None  # touches_in_samples() uses the walls and counts of bench/contact
         touches, _ = self.resolved_touches
         return touches if touches is not None and touches.all_found else None
 
 
 def checked(run: Run) -> CountedSeries:
-    """Return the series of a run that may be judged and fitted, and the doubts to print.
+    """Return the series of a run that may be evaluated and fitted, and the doubts to print.
 
-    One call for all that evaluates measurements: the series of :attr:`Run.series` without the
-    topics that a rule leaves out, and one doubt for each series that is left out or doubted, whose
-    ``line`` the user must see.  A simulated run has no doubts.
+    All code that evaluates measurements calls this function.  The series are those of
+    :attr:`Run.series` without the topics that a rule leaves out.  There is one doubt for each
+    broken rule and topic; the caller must print the doubt's ``line``.  A simulated run has no
+    doubts.
 
     Raises
     ------
@@ -664,12 +676,13 @@ def detect(
     Parameters
     ----------
     run
-        Exact samples are evaluated as they are, at the rate of the detector; measurements as the
-        detector's node reads them.
+        Run to evaluate.  Exact samples are evaluated directly, at ``run.rate`` of the scene;
+        measurements are evaluated as the detector's node does.
     scene
-        Gives the criteria; None for the run's scene with the criteria of its own detector.
+        Scene with the detector's criteria; None for the run's scene with the criteria of the
+        detector that took part in the run.
     from_series
-        True to evaluate the measurements of a run whose exact samples are known too.
+        True to evaluate the measurements even if exact samples are known.
 
     Raises
     ------
@@ -692,7 +705,7 @@ def detect(
 
 
 def _turned(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Return vectors (n, 2) turned by angles (n,), rad."""
+    """Return vectors (n, 2) rotated by angles (n,), rad."""
     c, s = np.cos(angle), np.sin(angle)
     x, y = vectors.T
     return np.stack([c * x - s * y, s * x + c * y], axis=-1)

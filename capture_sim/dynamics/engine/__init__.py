@@ -1,10 +1,10 @@
 """The run as one compiled loop: segments of motion between located events.
 
-A *segment* is a piece of motion under one set of equations: on the rail (closed form) or
-one step of the integrator.  Samples are read from the segment they fall into; a segment
-is cut where an event is located in it, and the event is applied at the cut.
-The motion does not depend on the sample times, so dividing these into several calls gives
-bit-identical results.
+A *segment* is a piece of motion under one set of equations: motion on the rail (closed form) or one
+step of the integrator.  A sample is computed from the segment that contains its time.  If an event
+is located in a segment, the segment ends there, and the event is applied at its end.  The motion
+does not depend on the sample times, so dividing these into several calls gives bit-identical
+results.
 
 ``state`` is the record of a run; ``steps`` takes a step; ``events`` locates the first event in it;
 ``extremes`` finds peak forces, strokes and penetrations inside it; ``consequences`` applies an

@@ -1,4 +1,4 @@
-"""Applies an event: touches, slip, rest, stops, seat, slide and latch; and its log entry."""
+"""Changes of the state by an event (touch, slip, rest, stop, seat, slide, latch), and its log."""
 
 from __future__ import annotations
 
@@ -39,27 +39,31 @@ from capture_sim.dynamics.model.observe import kinetic_energy, mechanical_energy
 from capture_sim.dynamics.samples import EventKind
 from capture_sim.scene.laws import FrictionLaw
 
-#: Share r of the supports' limit below which a slow vehicle is put at rest: at this load, the
-#: smoothed resistance would let it creep at 5 v_eps, r / sqrt(1 - r^2) = 5.
+#: A slow vehicle is put at rest if its load is below this share r of the supports' limit.  At this
+#: load, the smoothed resistance would let the vehicle creep at 5 v_eps: r / sqrt(1 - r^2) = 5.
 _REST_SHARE = 0.98
 #: First step of a touch, as a share of the time to the peak penetration: 5 % at an rtol of 1e-8,
-#: at most 15 %.  F ~ delta^1.5 lowers the order of a step from 0: its error grows as h^3.5.
+#: at most 15 %.  F ~ delta^1.5 lowers the order of a step that starts at delta = 0: its error grows
+#: as h^3.5.
 _FIRST_SHARE, _LARGEST_SHARE, _ORDER_OF_FIRST = 0.05, 0.15, 3.5
 _SHARE_RTOL = 1e-8
-#: First step after a touch, as a share of the step before it.
+#: First step after a touch, as a share of the step before the touch.
 _FREE_SHARE = 0.3
-#: Multiple of the rest speed above which a vehicle no longer counts as slow; round-off must not
-#: make it slow again at once.
+#: Multiple of the rest speed above which a vehicle no longer counts as slow.  It is above 1, so
+#: that round-off does not make the vehicle slow again at once.
 _LEFT_SLOW = 2.0
-#: m: a penetration at the start of a touch, whose force is that of a depth of 0.
+#: Penetration at which the force at the start of a touch is evaluated, m; its limit at depth 0.
 _TOUCHING = 1e-300
-#: Multiple of the slip floor: a tip that slips faster has reversed before its event was applied.
+#: Multiple of the slip floor; a faster slip has reversed before its event was applied.
 _LATE_SLIP = 2.0
 
 
 @kernel
 def log_event(w, kind):
-    """Append an event at the present time and state; return its record, for which and value."""
+    """Append an event at the present time and state to the log; return its record.
+
+    The caller sets ``which`` and ``value``, which are 0.
+    """
     progress, y = w.progress, w.stepper.y
     e = w.log[progress.n_log]
     e.kind = kind
@@ -93,13 +97,13 @@ def end_touch(w, i):
     logged.rate_ratio = touch.largest_rate / max(touch.approach_speed, w.system.par.v_0_floor)
     mode.touch[i] = NO_TOUCH[0]
     if not mode.touch[1 - i].on:
-        # in free flight again, where the step was of this size
+        # free flight resumes: start from the step size that it had before the touch
         step.h_next = max(step.h_next, _FREE_SHARE * step.h_before_touch)
 
 
 @kernel
 def begin_touch(w, i):
-    """Store the approach speed of wall ``i`` and switch its force on."""
+    """Begin a touch of wall ``i``: store the approach speed, switch the force on and log it."""
     step, mode, par, y = w.step, w.system.mode, w.system.par, w.stepper.y
     px, py, wx, wy = tip_in_cone(y, par)
     _, rate, _, _ = gap_and_rate(px, py, wx, wy, 1.0 - 2.0 * i, par)
@@ -123,7 +127,7 @@ def begin_touch(w, i):
     e = log_event(w, EventKind.TOUCH)
     e.which = 1 - 2 * i
     e.value = speed
-    # an elastic impact at this speed of the probe alone lasts about as long as this touch
+    # this touch lasts about as long as an elastic impact of the probe alone at this speed
     v = max(speed, par.v_0_floor)
     penetration = expected_depth(par.m_P, v, par.contact)
     tighter = (par.rtol / _SHARE_RTOL) ** (1.0 / _ORDER_OF_FIRST)
@@ -135,7 +139,7 @@ def begin_touch(w, i):
 
 @kernel
 def change_slip(w, i):
-    """Let the tip on wall ``i`` stick if friction can hold it, else slide."""
+    """Set the tip on wall ``i`` sticking if friction can hold it, otherwise sliding; log it."""
     mode, out, par = w.system.mode, w.system.out, w.system.par
     touch = mode.touch[i]
     was_sticking = touch.sticking
@@ -143,13 +147,13 @@ def change_slip(w, i):
     touch.sticking = 1
     solve_sticking(w.stepper.y, w.system.spare[0], w.system)
     needed = out.friction_force[i]
-    # a fixed step may apply the event late: the tip then slides the other way already
+    # a fixed step may apply the event late: the tip then already slides in the other direction
     slides = not was_sticking and abs(slip) > _LATE_SLIP * SLIP_FLOOR * par.speed_scale
     if not (was_sticking or slides) and abs(needed) < par.mu_s * out.normal[i]:
         e = log_event(w, EventKind.STICK)
     else:
         touch.sticking = 0
-        # the slip is against the friction that could not hold it
+        # the slip is opposite to the friction force that could not hold the tip
         forward = slip > 0.0 if slides else needed < 0.0
         touch.direction = 1.0 if forward else -1.0
         e = log_event(w, EventKind.SLIP)
@@ -192,7 +196,7 @@ def stop_vehicle(w, which):
 
 @kernel
 def latch_tip(w):
-    """Close the latch: it holds the tip where it is, and the walls no longer act."""
+    """Close the latch at the present position of the tip; the walls then no longer act."""
     progress, mode, par, y = w.progress, w.system.mode, w.system.par, w.stepper.y
     px, py, wx, wy = tip_in_cone(y, par)
     for i in range(2):
@@ -211,9 +215,9 @@ def latch_tip(w):
 
 @kernel
 def follow_jump(w, i):
-    """Update the touch of wall ``i`` after a jump of the rates.
+    """Update the touch of wall ``i`` after a jump of the velocities.
 
-    A finite friction cannot prevent slip during a jump.
+    A finite friction force cannot prevent slip during a jump.
     """
     step, par, y = w.step, w.system.par, w.stepper.y
     touch = w.system.mode.touch[i]
@@ -246,7 +250,7 @@ def end_slide(w):
 
 @kernel
 def begin_slide(w, direction):
-    """Let the probe slide; friction acts against ``direction``, +1 outwards or -1 inwards."""
+    """Set the probe sliding; friction opposes ``direction``, +1 outwards or -1 inwards."""
     w.system.mode.held = Hold.NONE
     w.totals.slide_from = w.stepper.y[4]
     if w.system.par.slide_friction > 0.0:
@@ -255,10 +259,10 @@ def begin_slide(w, direction):
 
 @kernel
 def turn_slide(w):
-    """Let the probe, at rest in its slide, stick if friction can hold it, else slide on."""
+    """Hold the probe, whose slip has ended, if friction can hold it; otherwise set it sliding."""
     mode, par, y = w.system.mode, w.system.par, w.stepper.y
     end_slide(w)
-    # a fixed step may apply the event late: the probe then slides the other way already
+    # a fixed step may apply the event late: the probe then already slides in the other direction
     if par.fixed_step > 0.0 and abs(y[12]) > _LATE_SLIP * SLIP_FLOOR * par.speed_scale:
         begin_slide(w, math.copysign(1.0, y[12]))
         log_event(w, EventKind.SLIP).value = par.slide_friction
@@ -281,7 +285,7 @@ def turn_slide(w):
 
 @kernel
 def release_probe(w):
-    """Let a held probe slide, to the side to which its load exceeds the holding force."""
+    """Set a held probe sliding, in the direction in which its load exceeds the holding force."""
     y, kind = w.stepper.y, EventKind.UNSEATED
     load = held_load(y, w.system)
     lower, upper = hold_limits(y, w.system)
@@ -296,7 +300,7 @@ def release_probe(w):
 
 @kernel
 def seat_probe(w):
-    """Bring the probe to rest on its seat; the impact sets a chaser at rest in motion."""
+    """Bring the probe to rest on its seat; if the chaser was at rest, the impact moves it."""
     mode, par, y = w.system.mode, w.system.par, w.stepper.y
     log_event(w, EventKind.SEATED).value = y[12]
     end_slide(w)
@@ -322,7 +326,7 @@ def seat_probe(w):
 
 @kernel
 def apply_event(w):
-    """Apply the event at the end of a step, where the state is."""
+    """Apply the event of the segment; the state is already that at the event."""
     mode, y, slow = w.system.mode, w.stepper.y, w.progress.slow
     kind, which = w.event.kind, w.event.which
     if w.system.par.has_supports:

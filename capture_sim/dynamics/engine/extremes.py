@@ -1,8 +1,9 @@
-"""Loads: peak forces, strokes and penetrations, and the closest approach, inside the steps.
+"""Peak forces, strokes and penetrations, and the closest approach, also inside the steps.
 
-A quantity exceeds its values at both ends of a segment only if the cubic through value and rate has
-a maximum in between; there it is searched on the dense output.  The extremes therefore do not
-depend on the sample times, and on the steps only within the error of the run.
+A quantity can exceed its values at both ends of a segment only if the cubic through values and
+rates has a maximum in between.  In such a segment the maximum is searched on the dense output.  The
+extremes therefore do not depend on the sample times, and depend on the steps only within the error
+of the run.
 """
 
 from __future__ import annotations
@@ -39,20 +40,21 @@ from capture_sim.dynamics.model.equations import (
 from capture_sim.dynamics.samples import EXTREME_NAMES
 from capture_sim.dynamics.solver.roots import cubic_minimum
 
-#: Shares of the sum of both slopes: limit of the rise of a cubic above its ends (at most 4/27),
-#: and of the rise of the quantity above the cubic.
+#: Upper limits, as shares of the sum of both slopes: of the rise of a cubic above its ends (which
+#: never exceeds 4/27), and of the rise of the quantity above the cubic.
 _CUBIC_RISE, _RISE_ERROR = 0.25, 0.02
-#: A sustained contact: a segment longer than _RIPPLE_ANGLE, rad of the contact's oscillation, whose
-#: force is close to the peak, by _RIPPLE, is searched, since the dense output ripples between its
-#: ends.
+#: In a sustained contact, the dense output ripples between the ends of a long segment.  A segment
+#: is therefore searched if it is longer than _RIPPLE_ANGLE, rad of the contact's oscillation, and
+#: its force is within _RIPPLE (a share) of the peak.
 _RIPPLE_ANGLE, _RIPPLE = 1.0, 0.02
-#: Places of a segment at which a maximum is sought first: with 16 the peaks are the same to 3e-8,
-#: and runs take 1.03 times as long.  From the ends and a few points alone, a peak near an end is
-#: missed by up to 3e-5.
+#: Points of a segment at which a quantity is evaluated first in the search for a maximum.  With 16
+#: points the peaks change by at most 3e-8 and runs take 1.03 times as long.  From the ends and a
+#: few points alone, a peak near an end is missed by up to 3e-5.
 _PLACES = 8
-#: Smallest distance of the points of a parabola, a share of the segment.
+#: Smallest distance between the points of a parabola, as a share of the segment.
 _MIN_PARABOLA = 1e-6
-#: Share of the rates at the ends and the middle of a segment in contact: limit of the rise inside.
+#: Upper limit of the rise of a penetration rate inside a segment in contact, as a share of the sum
+#: of the rates at its ends and its middle.
 _RATE_RISE = 1.0
 
 #: Entries of the state; typed, as each literal would be compiled as a case of its own.
@@ -60,7 +62,7 @@ _THETA_S, _THETA_P, _H = np.int64(2), np.int64(3), np.int64(4)
 
 
 class Watched(IntEnum):
-    """A quantity whose maximum is searched, with a side where there are two."""
+    """A quantity whose maximum is searched; some quantities have two sides, -1 and +1."""
 
     STROKE = 0  # -1 inwards, +1 outwards
     TORSION = 1  # either direction
@@ -95,7 +97,7 @@ def buffer_force_at(y, system):
 
 @inline_kernel
 def sliding_force_at(y, system):
-    """Return :func:`buffer_force_at` of a probe that is not held, N."""
+    """Return the force of :func:`buffer_force_at` for a probe that is not held, N."""
     par, stop = system.par, system.mode.stop
     stroke, rate = y[4] - par.h_0, y[12]
     force, _ = axial_force(stroke, rate, system.mode.slide_direction, par)
@@ -114,7 +116,7 @@ def buffer_torque_at(y, par):
 
 @inline_kernel
 def latch_force_of(tip, system):
-    """Return the magnitude of the latch's force, N, on a tip given as by :func:`tip_in_cone`."""
+    """Return the magnitude of the latch's force, N; ``tip`` is a result of :func:`tip_in_cone`."""
     par, mode = system.par, system.mode
     px, py, wx, wy = tip[0], tip[1], tip[2], tip[3]
     return math.hypot(
@@ -158,10 +160,10 @@ def value_at(w, x, quantity, side):
 
 @kernel
 def largest_inside(w, quantity, side):
-    """Return fraction and value of a quantity's maximum within the present segment.
+    """Return the maximum of a quantity within the present segment: fraction of the step, value.
 
-    The best of equidistant places is moved to the top of the parabola through three points, which
-    become closer once the top is between them.
+    The search starts at the best of equidistant points and moves to the maximum of the parabola
+    through three points.  The points become closer once the maximum is between them.
     """
     x_end = w.step.x_end
     width, x, f = x_end / _PLACES, 0.0, -math.inf
@@ -191,7 +193,7 @@ def largest_inside(w, quantity, side):
 
 @kernel
 def keep_maximum(totals, row, slot, value, t):
-    """Keep a value and its time if it is the largest so far."""
+    """Keep a value and its time ``t`` (s) if the value is the largest so far."""
     if value > totals.extreme[row, slot]:
         totals.extreme[row, slot] = value
         totals.extreme_time[row, slot] = t
@@ -201,7 +203,7 @@ def keep_maximum(totals, row, slot, value, t):
 def may_exceed(largest, width, v_a, d_a, v_b, d_b):
     """Return True if the cubic through two values and rates may rise above ``largest``.
 
-    ``width`` (s) is the length of the segment.  Most segments end with this cheap test.
+    ``width`` (s) is the length of the segment.  For most segments this cheap test is sufficient.
     """
     return max(v_a, v_b) + _CUBIC_RISE * width * (abs(d_a) + abs(d_b)) > largest
 
@@ -210,7 +212,7 @@ def may_exceed(largest, width, v_a, d_a, v_b, d_b):
 def is_monotonic(v_a, d_a, v_b, d_b):
     """Return True if the cubic through two values and slopes certainly has no maximum in between.
 
-    A sufficient test, without root and division (Fritsch and Carlson 1980).
+    The test is sufficient, and needs neither a root nor a division (Fritsch and Carlson 1980).
     """
     change = 3.0 * (v_b - v_a)
     return (min(d_a, d_b) >= 0.0 and max(d_a, d_b) < change) or (
@@ -220,9 +222,10 @@ def is_monotonic(v_a, d_a, v_b, d_b):
 
 @kernel
 def rise_inside(w, quantity, side, largest, v_a, d_a, v_b, d_b):
-    """Return fraction and value of a maximum above ``largest`` inside a segment; -1 if none.
+    """Return the fraction and the value of a maximum above ``largest`` inside the segment.
 
-    ``v_a``, ``d_a``, ``v_b`` and ``d_b`` are values and rates at the ends of the segment.
+    ``v_a``, ``d_a``, ``v_b`` and ``d_b`` are values and rates at the ends of the segment.  Without
+    such a maximum the result is (-1, ``largest``).
     """
     width = w.step.x_end * w.step.h
     if not may_exceed(largest, width, v_a, d_a, v_b, d_b):
@@ -263,7 +266,7 @@ def watch_magnitude(w, quantity, slot, v_a, d_a, v_b, d_b):
 
 @kernel
 def watch_extremes(w):
-    """Keep strokes, torsion, closest approach and contact extremes of the segment that ends."""
+    """Keep the extremes of stroke, torsion, tip distance and contact over the ending segment."""
     start, end = w.step.start, w.step.end
     mode, par = w.system.mode, w.system.par
     a, b = w.stepper.y, w.y_end
@@ -287,9 +290,10 @@ def watch_extremes(w):
 
 @inline_kernel
 def may_ripple(w, touch, p_b, f_a, f_b):
-    """Return True if the force of a sustained contact may pass its peak within the segment.
+    """Return True if the force of a sustained contact may exceed its peak within the segment.
 
-    ``p_b`` is the penetration at its end, m; ``f_a`` and ``f_b`` the forces at both ends, N.
+    ``p_b`` is the penetration at the end of the segment, m; ``f_a`` and ``f_b`` are the forces at
+    both ends, N.
     """
     par, width = w.system.par, w.step.x_end * w.step.h
     if p_b <= 0.0 or (1.0 + _RIPPLE) * max(f_a, f_b) <= touch.peak_force:
@@ -300,7 +304,7 @@ def may_ripple(w, touch, p_b, f_a, f_b):
 
 @kernel
 def watch_touch(w, i):
-    """Keep peak penetration, its rate and the normal force of wall ``i`` inside the segment."""
+    """Keep the peaks of penetration, penetration rate and normal force of wall ``i``."""
     step, stepper, par = w.step, w.stepper, w.system.par
     start, end = step.start, step.end
     side, touch = 1.0 - 2.0 * i, w.system.mode.touch[i]
@@ -321,7 +325,7 @@ def watch_touch(w, i):
     if force > touch.peak_force:
         touch.peak_force = force
         touch.peak_time = step.t1
-    # rate in the middle of the cubic, and limits of rate and depth inside the segment
+    # rate in the middle of the cubic, and upper limits of rate and depth inside the segment
     r_m = 1.5 * (p_b - p_a) / width - 0.25 * (r_a + r_b)
     swing = abs(r_a) + abs(r_b) + abs(r_m)
     rate = max(r_a, r_b, r_m) + _RATE_RISE * swing
@@ -340,7 +344,7 @@ def watch_touch(w, i):
         f_a, d_a = normal_force_and_rate(p_a, r_a, a_a, touch.chi, par.contact)
         f_b, d_b = normal_force_and_rate(p_b, r_b, a_b, touch.chi, par.contact)
         if step.x_end < 1.0 and step.t0 == touch.start:
-            # the whole touch may lie in this segment, with the force zero at both ends
+            # the entire touch may lie in this segment, with zero force at both ends
             x, peak = largest_inside(w, Watched.NORMAL_FORCE, side)
         else:
             x, peak = rise_inside(
@@ -355,7 +359,10 @@ def watch_touch(w, i):
 
 @inline_kernel
 def buffer_force_rate(y, acceleration, system):
-    """Return d/dt of :func:`buffer_force_at` of a sliding probe, N/s."""
+    """Return the time derivative of the force of :func:`sliding_force_at`, N/s.
+
+    ``acceleration`` is that of the stroke, m/s^2.
+    """
     par, stop = system.par, system.mode.stop
     stroke, rate = y[4] - par.h_0, y[12]
     total = axial_force_rate(stroke, rate, acceleration, par)
@@ -366,10 +373,10 @@ def buffer_force_rate(y, acceleration, system):
 
 @inline_kernel
 def write_loads(loads, y, axial, turning, system):
-    """Write the torque of the hinge and the axial force, each with its rate, into ``loads`` (4,).
+    """Write hinge torque, its rate, axial force and its rate into ``loads`` (4,).
 
-    ``axial`` (m/s^2) and ``turning`` (rad/s^2) are the accelerations of stroke and torsion.  The
-    force is that of a sliding probe.
+    Units are N m, N m/s, N and N/s.  ``axial`` (m/s^2) and ``turning`` (rad/s^2) are the
+    accelerations of stroke and torsion.  The force is that of a sliding probe.
     """
     par = system.par
     loads[0] = buffer_torque_at(y, par)
@@ -380,7 +387,7 @@ def write_loads(loads, y, axial, turning, system):
 
 @kernel
 def watch_loads(w):
-    """Keep forces and torques of buffer and latch over the segment that ends."""
+    """Keep the peak forces and torques of buffer and latch over the ending segment."""
     step, stepper, system = w.step, w.stepper, w.system
     mode, y_b, f_b, loads = system.mode, w.y_end, stepper.K[stepper.stages], step.loads
     if not step.loads_kept:
@@ -414,9 +421,10 @@ def watch_loads(w):
 
 @kernel
 def watch_latch(w):
-    """Keep the latch's force over the segment that ends.
+    """Keep the peak force of the latch over the ending segment.
 
-    In a segment that an event has cut, ``w.scratch.near_end`` is known.
+    If the segment ends before its step does, :func:`watch_loads` has written
+    ``w.scratch.near_end``.
     """
     step, stepper, system = w.step, w.stepper, w.system
     tip_a, tip_b, k, c = step.start.tip, step.end.tip, system.par.k_L, system.par.c_L
@@ -440,7 +448,7 @@ def watch_latch(w):
 
 @kernel
 def watch_rail(w, y):
-    """Keep the distance to BE at the end of a segment on the rail, where it is smallest."""
+    """Keep the distance to the centre of BE at the end of a rail segment, where it is smallest."""
     px, py, wx, wy = tip_in_cone(y, w.system.par)
     distance, _ = distance_to_edge(px, py, wx, wy, w.system.par)
     keep_maximum(w.totals, w.system.mode.latched, TIP_DISTANCE, -distance, w.step.t1)
@@ -448,7 +456,7 @@ def watch_rail(w, y):
 
 @kernel
 def begin_extremes(w):
-    """Start the extremes, before or after the latch, with the present values."""
+    """Set the extremes to the present values: at the release, or when the latch has closed."""
     totals, y, row = w.totals, w.stepper.y, w.system.mode.latched
     for slot in range(totals.extreme.shape[1]):
         totals.extreme[row, slot] = 0.0

@@ -1,4 +1,4 @@
-"""A segment of the integrator: planned up to its first event, then closed by applying that."""
+"""A segment of the integrator: it is planned up to its first event and closed by applying it."""
 
 from __future__ import annotations
 
@@ -29,26 +29,28 @@ from capture_sim.dynamics.model.observe import observe
 from capture_sim.dynamics.samples import EventKind
 from capture_sim.dynamics.solver.runge_kutta import dense
 
-#: Share of R_t: in a deeper penetration the tip's centre might pass the wall within a step.
+#: Maximum penetration as a share of R_t; if it is deeper, the tip's centre might pass the wall
+#: within a step.
 _MAX_DEPTH_SHARE = 0.75
-#: Longest fixed step in contact, rad of the contact's oscillation, and time constants of its
-#: damping; at 2.78 of the latter the fourth-order method is unstable.
+#: Longest fixed step in contact: in rad of the contact's oscillation, and in time constants of its
+#: damping.  At 2.78 time constants the fourth-order method is unstable.
 _FIXED_ANGLE, _FIXED_DECAY = 1.5, 2.5
 #: Largest number of events located within one fixed step, to limit its cost.
 _MAX_SUBSTEPS = 8
-#: Shares of the path to the next event: limit for a step in which the tip accelerates, and target
-#: of the next trial.
+#: Shares of the path to the next event: the largest path of an accepted step in which the tip
+#: accelerates, and the path that the next trial aims at.
 _MAX_OVERSHOOT, _RETRY_SHARE = 1.01, 0.9
-#: A step in contact with an event before fraction _NEAR_END is repeated up to _PAST_EVENT times
-#: that fraction: dense output inside a step is less accurate than its end.
+#: If a step in contact has an event before the fraction _NEAR_END, the step is repeated with a
+#: length of _PAST_EVENT times the event's fraction, because dense output inside a step is less
+#: accurate than the end of a step.
 _NEAR_END, _PAST_EVENT = 0.95, 1.02
 
 
 @kernel
 def begin_equations(w):
-    """Evaluate equations that have changed; return True if an event follows at once.
+    """Evaluate the changed equations; return True if an event happens at the present time.
 
-    The probe may begin to slide, or a vehicle at rest may start to move.
+    The event is that the probe begins to slide, or that a vehicle at rest starts to move.
     """
     step, event, mode = w.step, w.event, w.system.mode
     rate_of_change(step.t0, w.stepper.y, w.stepper.K[0], w.system)
@@ -76,7 +78,7 @@ def begin_equations(w):
 
 @kernel
 def step_within_path(w):
-    """Take a step in which the tip cannot miss an event; return the Status."""
+    """Take a step so short that the tip cannot miss an event; return the StepStatus."""
     step, par = w.step, w.system.par
     if not step.start_measured:
         measure_distances(w, w.stepper.y)
@@ -114,9 +116,9 @@ def is_resolved(w):
 
 @kernel
 def end_segment(w):
-    """End the segment at the first event, at the end of the run, or at the end of the step.
+    """Set the end of the segment: the first event, the end of the run, or the end of the step.
 
-    Writes the state at that time into ``w.y_end`` and returns the Status.
+    Writes the state at this end into ``w.y_end``; returns the StepStatus.
     """
     step, event, par, stepper = w.step, w.event, w.system.par, w.stepper
     if event.x <= 1.0:
@@ -156,9 +158,9 @@ def end_segment(w):
 
 @kernel
 def plan_step(w):
-    """Take one accepted step of the integrator and cut it at the first event in it.
+    """Take one accepted step of the integrator and end the segment at the first event in it.
 
-    Returns the Status.
+    Returns the StepStatus.
     """
     step, stepper, event = w.step, w.stepper, w.event
     par, mode = w.system.par, w.system.mode
@@ -194,9 +196,9 @@ def plan_step(w):
 
 @kernel
 def close_step(w, trace):
-    """Move to the end of an integrator's segment and apply its event.
+    """Move to the end of a segment of the integrator and apply its event.
 
-    In contact the sample there goes into ``trace``, unless that is empty.
+    In contact, the sample at this end is appended to ``trace``, unless ``trace`` is empty.
     """
     step, stepper, progress, mode = w.step, w.stepper, w.progress, w.system.mode
     if step.h > 0.0:

@@ -1,4 +1,4 @@
-"""A scene's numbers as one record for the kernels, SI units."""
+"""Parameters of a scene as one record for the kernels, in SI units."""
 
 from __future__ import annotations
 
@@ -36,13 +36,14 @@ PARAMETERS = np.dtype(
         ("inverse_I_T", "f8"),
         ("a", "f8"),
         ("first_moment_0", "f8"),  # m_C l_C - m_P d: first moment about the hinge at h = 0
-        ("hinge_inertia_0", "f8"),  # I_C + m_C l_C^2 + I_P: about the hinge, probe's m r^2 apart
-        ("d", "f8"),  # probe's centre of mass behind the tip's centre
+        ("hinge_inertia_0", "f8"),  # I_C + m_C l_C^2 + I_P: about the hinge, without probe's m r^2
+        ("d", "f8"),  # distance from the probe's centre of mass to the tip's centre
         ("k_A", "f8"),
         ("c_A", "f8"),
         ("k_T", "f8"),
         ("c_T", "f8"),
-        ("has_shaped_buffer", "i8"),  # any of the following differs from a linear buffer
+        ("has_shaped_buffer", "i8"),  # 1 if a field from here to force_table is not that of a
+        # linear buffer
         ("k_A3", "f8"),
         ("c_A2", "f8"),
         ("c_A_rebound", "f8"),
@@ -225,7 +226,7 @@ def _run(scene: Scene) -> dict[str, Any]:
     }
 
 
-#: The groups of parameters, each by the fields that it depends on.
+#: Functions that return the groups of parameters; each names the fields that it depends on.
 _GROUPS = (
     *(_bodies, _buffer, _cone, _contact, _friction, _supports, _latch_and_stops, _launch, _run),
 )
@@ -235,11 +236,12 @@ _ZEROS: dict[str, Any] = dict.fromkeys(PARAMETERS.names or (), 0)
 def pack(
     scene: Scene, hanging_mass: float, drop_height: float, impact_speed: float = 0.0
 ) -> np.ndarray:
-    """Return the (1,) record of a scene with the launch's hanging mass (kg) and drop height (m).
+    """Return the parameters of a scene and its launch, (1,) of dtype PARAMETERS.
 
-    ``impact_speed`` (m/s) is that of the launch plan, for the error scale.
+    The launch has a hanging mass (kg) and a drop height (m).  ``impact_speed`` (m/s) is the planned
+    impact speed, for the error scale.
     """
-    # written into the record at once: its fields one by one take four times as long
+    # all fields are written at once: one by one they need four times as long
     p = _ZEROS.copy()
     for group in _GROUPS:
         p.update(group(scene))
@@ -264,16 +266,16 @@ def contact_law(scene: Scene) -> np.ndarray:
 #: Lower limit of the speed scale of free vehicles, m/s; round-off of positions (1e-17 m) over the
 #: duration of a touch (seconds, at such speeds) is far smaller.
 _MIN_SPEED = 1e-8
-#: The same on supports, whose resistance may accelerate vehicles that have no relative speed at the
-#: release.
+#: Lower limit of the speed scale of vehicles on supports, m/s.  Rolling resistance may accelerate
+#: vehicles relative to each other that have no relative speed at the release.
 _MIN_SPEED_ON_FLOOR = 1e-3
 
 
 def speed_scale(scene: Scene, impact_speed: float) -> float:
     """Return the speed scale of the error control, m/s.
 
-    It is the largest of the relative speeds at the release and at the impact, and of the speeds of
-    tip and line BE due to the vehicles' spins.
+    It is the largest of the relative speed at the release, the speed at the impact, and the speeds
+    of the tip and of line BE due to the vehicles' rotation.
     """
     c, t = scene.initial.chaser, scene.initial.target
     if scene.string is None:

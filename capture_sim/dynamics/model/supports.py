@@ -1,9 +1,9 @@
-"""Three ball-shaped supports: loads, rolling resistance, and the limit at rest.
+"""Three ball supports of a vehicle: rolling resistance, and the limit of the load at rest.
 
-The resistance of each ball is c_rr N against its velocity.  At rest, the three forces balance the
-applied wrench as long as none exceeds c_rr N; the wrenches that can be balanced form a convex set
-(the friction limit surface of Goyal, Ruina and Papadopoulos, 1991).  ``load_factor`` returns the
-share of this limit that an applied wrench uses.
+The resistance of each ball is c_rr N, opposite to its velocity.  At rest, the forces of the three
+balls balance the applied wrench as long as no force needs to exceed c_rr N.  The wrenches that can
+be balanced form a convex set (the friction limit surface of Goyal, Ruina and Papadopoulos, 1991).
+:func:`load_factor` returns the share of this limit that an applied wrench uses.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from capture_sim.base.compiled.kernels import inline_kernel, kernel
 from capture_sim.base.compiled.vectors import vectorized
 
-#: Of the squares of forces: round-off does not decide what is below this share of the limit's.
+#: Share of the squared limit below which a squared force is certainly held, despite round-off.
 _EASILY = 0.98
 #: Shape of the balls of a vehicle for the kernels: rows are x and y in the vehicle's frame (m) and
 #: the limit c_rr N (N) of three balls.  A fourth, empty column fills a vector register.
@@ -25,7 +25,7 @@ BALLS = (3, 4)
 
 
 def ball_rows(places: Iterable[tuple[float, float]], limits: Iterable[float]) -> list[list[float]]:
-    """Return three balls at ``places`` (m) with the limits c_rr N (N), of the shape BALLS."""
+    """Return the rows of shape BALLS for three balls at ``places`` (m) with limits c_rr N (N)."""
     xs, ys = zip(*places, strict=True)
     return [[*xs, 0.0], [*ys, 0.0], [*limits, 0.0]]
 
@@ -34,10 +34,11 @@ def ball_rows(places: Iterable[tuple[float, float]], limits: Iterable[float]) ->
 def rolling_wrench(
     vx: float, vy: float, omega: float, c: float, s: float, balls: np.ndarray, v_eps: float
 ) -> tuple[float, float, float, float]:
-    """Return rolling resistance on a vehicle: force x, y (N), torque (N m), power lost (W).
+    """Return rolling resistance on a vehicle: force x, y (N), torque (N m), dissipated power (W).
 
-    ``balls`` are of the shape BALLS; ``c, s`` cosine and sine of the vehicle's heading.  Below
-    ``v_eps`` (m/s) the resistance falls off smoothly.
+    Force and velocity are in the world's axes.  ``balls`` are of the shape BALLS; ``c`` and ``s``
+    are cosine and sine of the vehicle's heading.  Below ``v_eps`` (m/s) the resistance decreases
+    smoothly to 0.
     """
     # in the vehicle's frame
     along, across, torque = resistance(c * vx + s * vy, c * vy - s * vx, omega, balls, v_eps)
@@ -48,7 +49,10 @@ def rolling_wrench(
 
 @inline_kernel
 def resistance_of_each(ux, uy, omega, balls, v_eps):
-    """Return forces (N) and torque (N m) against the balls' motion, in the vehicle's frame."""
+    """Return the total force x, y (N) and torque (N m) of the balls, in the vehicle's frame.
+
+    The sign is that of the motion; the resistance is the opposite.
+    """
     fx = 0.0
     fy = 0.0
     torque = 0.0
@@ -64,9 +68,9 @@ def resistance_of_each(ux, uy, omega, balls, v_eps):
 
 @vectorized(resistance_of_each, results=3)
 def resistance(code: Any, ux: Any, uy: Any, omega: Any, balls: Any, v_eps: Any) -> list[Any]:
-    """Do the same as :func:`resistance_of_each`, with the three balls in one vector register.
+    """Write vector code for :func:`resistance_of_each`, with the three balls in one register.
 
-    A square root or a division takes as long for four numbers as for one.
+    A square root and a division need the same time for four numbers as for one number.
     """
     x, y, limit = (code.load(balls, 4 * row, 4) for row in range(3))
     ux, uy, omega, v_eps = (code.broadcast(value, 4) for value in (ux, uy, omega, v_eps))
@@ -105,7 +109,7 @@ def fastest_ball(
 def is_held(
     fx: float, fy: float, torque: float, c: float, s: float, balls: np.ndarray, share: float
 ) -> bool:
-    """Return True if the supports hold a wrench with at most this share of their limit."""
+    """Return True if the supports hold a wrench with at most ``share`` of their limit."""
     if is_easily_held(fx, fy, torque, c, s, balls, share):
         return True
     return load_factor(fx, fy, torque, c, s, balls, share) <= share
@@ -113,10 +117,11 @@ def is_held(
 
 @inline_kernel
 def is_easily_held(fx, fy, torque, c, s, balls, share):
-    """Return True if each ball certainly needs less than ``share`` of its limit.
+    """Return True if the supports certainly hold a wrench with less than ``share`` of their limit.
 
-    A cheap test: force in proportion to the limits, torque by forces around their centre, is one
-    way to balance a wrench.  False may be either.
+    The test is cheap and sufficient.  It checks one possible distribution: the force is shared in
+    proportion to the limits, and the torque is balanced by forces around their centre.  If the
+    result is False, the wrench may still be held.
     """
     limit = balls[2, 0] + balls[2, 1] + balls[2, 2]
     if limit <= 0.0:
@@ -153,18 +158,19 @@ def load_factor(
 ) -> float:
     """Return the share of the supports' limit that a wrench uses; above 1 the vehicle moves.
 
-    A share above ``enough`` may be returned too low, but above that.
+    If the share exceeds ``enough``, the search may end early.  The result is then a lower limit
+    that also exceeds ``enough``.
 
-    It is the maximum of (power of the wrench) / (power that the balls dissipate) over all motions
-    of the body.  For a turn about one of the balls, where that ratio has a corner, there is a
-    closed form; all other motions are searched by iteratively reweighted least squares.
+    The share is the maximum of (power of the wrench) / (power that the balls dissipate) over all
+    motions of the body.  For a rotation about one of the balls, where this ratio is not smooth,
+    there is a closed form.  All other motions are searched by iteratively reweighted least squares.
     """
     limit = balls[2, 0] + balls[2, 1] + balls[2, 2]
     if limit <= 0.0:
         return math.inf
     if fx == 0.0 and fy == 0.0 and torque == 0.0:
         return 0.0
-    # in the vehicle's frame, with the distance of the farthest ball as unit of length
+    # in the vehicle's frame; the unit of length is the distance of the farthest ball
     arm = 0.0
     for i in range(3):
         arm = max(arm, math.hypot(balls[0, i], balls[1, i]))
@@ -184,9 +190,10 @@ def load_factor(
 
 @kernel
 def share_by_turn(w0, w1, w2, balls, i, arm):
-    """Return the share of the limit for a turn about ball ``i``, and whether it is the maximum.
+    """Return the share of the limit for a rotation about ball ``i``, and True if it is the maximum.
 
-    It is the maximum if ball ``i``, which does not move, can balance the rest of the wrench.
+    It is the maximum over all motions if ball ``i``, which does not move, can balance the rest of
+    the wrench.
     """
     resisted = f0 = f1 = 0.0
     for j in range(3):
@@ -208,7 +215,7 @@ def share_by_turn(w0, w1, w2, balls, i, arm):
 def share_by_search(w0, w1, w2, balls, arm, enough):
     """Return the largest share of the limit over all motions, by an iteration from below.
 
-    It ends early above ``enough``.
+    The iteration ends early once the share exceeds ``enough``.
     """
     norm = math.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
     w0, w1, w2 = w0 / norm, w1 / norm, w2 / norm
