@@ -42,11 +42,11 @@ class ClockOffsets:
         self._last[source] = stamp, arrival
 
     def worst(self) -> tuple[Source, float] | None:
-        """Return the source whose clock differs most from the other clocks, and the difference, s.
+        """Return the source whose clock differs most from the others', and the difference, s.
 
-        The reference is the median of the three offsets.  While stamps do not advance with the
-        arrivals, e.g. on a paused machine, the last known result is returned.  None if there is
-        none yet, as in a replay.
+        The middle one of the three offsets is the reference.  If the stamps of a source do not
+        advance with their arrival, the last known result is returned, or None.  Such stamps come
+        from a machine that has halted, or from a replay.
         """
         if min(self._count.values()) >= _MIN_ARRIVALS and all(map(self._is_live, Source)):
             middle = median(self._offset.values())

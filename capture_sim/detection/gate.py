@@ -61,10 +61,10 @@ class PoseLimits(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene, source: Source) -> PoseLimits:
-        """Return the limits of a vehicle in a scene.
+        """Return the largest changes of a vehicle's velocity and spin, per relative speed.
 
-        In the frame of the common centre of mass contacts can only turn or reduce the velocities;
-        a spin has at most the energy of the relative motion.
+        In the frame of the common centre of mass, a contact can only turn the velocities or make
+        them smaller.  The energy of a spin is at most that of the relative motion.
         """
         vehicle, other = scene.chaser, scene.target
         if source is Source.TARGET:

@@ -175,7 +175,7 @@ _FIRST_LATCHED = {
 
 
 def _with_names_of_today(entry: dict[str, Any]) -> dict[str, Any]:
-    """Return a row of the first results.json with today's keys, any other row as it is."""
+    """Return a row of the first format of results.json with today's keys, others unchanged."""
     if not entry.keys() & _FIRST_LATCHED.keys():
         return entry
     former = {*FIRST_NAMES, *_FIRST_LATCHED}

@@ -275,7 +275,10 @@ def replaced(part: Any, fields: Mapping[str, Any]) -> Any:
 
 
 def _described(part: type) -> Iterator[tuple[str, str, str, list[str]]]:
-    """Yield name, type with unit and meaning of each field, and lines for the fields of a part."""
+    """Yield each field of a part: its name, its type with unit, its meaning, and its own fields.
+
+    The last item has one line for each field of a field that is itself a part; else it is empty.
+    """
     # a class under construction has its declarations in __dict__; a dataclass has moved them
     declarations = part.__dict__.get("__dataclass_fields__", part.__dict__)
     for name, hint in part.__annotations__.items():

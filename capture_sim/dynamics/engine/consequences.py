@@ -1,4 +1,4 @@
-"""Changes of the state by an event (touch, slip, rest, stop, seat, slide, latch), and its log."""
+"""Application of an event to the bench's state, for each kind of event; it is then logged."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def acts(contact):
 
 @kernel
 def _other_shape(depth, contact):
-    """Return the shape of a force that is not Hertz's, for a depth above 0."""
+    """Return the elastic force per stiffness of a contact unlike Hertz's, at a depth above 0."""
     if contact.table.count:
         force, _, _ = tabulated_spring(depth, contact.table)
         return force
