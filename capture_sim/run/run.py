@@ -223,8 +223,8 @@ class Run(ABC):
     def doubts(self) -> tuple[Doubt, ...]:
         """Plausibility rules that the measurements break, the most serious first.
 
-        Code that evaluates or fits measurements calls :func:`checked` instead, which also leaves
-        out doubted topics.
+        Code that evaluates or fits measurements calls :func:`checked` instead.  It also removes the
+        topics that a rule leaves out.
         """
         return doubts_of(self.given.evidence, self.given.scene, self.waived)
 
@@ -271,9 +271,9 @@ class Run(ABC):
         """Return the time at which a force first shows a contact, s; None if it never does.
 
         A moving rig is noisier than a rig at rest, so noise alone may exceed the threshold.  With
-        measured data, the time is therefore compared with the deflection of the buffer.  If they
-        differ by :data:`MAX_CONFIRMED` or more, and the force near the deflection exceeds half of
-        its peak, the time of the deflection is returned.
+        measured data, the time is therefore compared with the deflection of the buffer.  If the
+        times differ by :data:`MAX_CONFIRMED` or more, and the force near the deflection exceeds
+        half of its peak, the time of the deflection is returned.
         """
         first = first_above(force.t, force.values)
         buffer = self._contact_of_buffer if self.given.evidence else None

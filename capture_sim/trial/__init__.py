@@ -1,7 +1,7 @@
-"""A trial of a real bench: when it may release, when it must hold, when it is over.
+"""A trial of a real bench: when it may release, when it must hold, and when it is over.
 
 Takes: Poses, buffer states, statuses of the detector, and the time.
-Gives: Decisions: a ``TrialStep``, hold or not, and why.
-Must not know: ROS and simulators: every decision is a function of what was measured and when.
+Gives: Decisions: the ``TrialStep`` values to do, whether to hold, and the reason.
+Must not know: ROS and simulators: every decision depends only on measurements and their times.
 Begin with: ``trial.py``.
 """

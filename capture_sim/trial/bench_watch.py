@@ -1,12 +1,12 @@
-"""The launch of a bench without simulator, watched by measured poses alone.
+"""The launch of a real bench, monitored from measured poses alone.
 
-Between two poses 0.1 s apart, noise of 1 mm makes a speed error of 14 mm/s.  So speed and travel
-are those of a straight line fitted to many poses; the scatter of the poses around it gives the
-uncertainty of the speed.
+Between two poses 0.1 s apart, noise of 1 mm causes a speed error of 14 mm/s.  Therefore speed and
+travel are computed from a straight line fitted to many poses.  The standard deviation of the poses
+about the line gives the uncertainty of the speed.
 
-The stamps of the poses are those of the bench's clock, and a busy node evaluates poses late and in
-clumps.  So the moment of the release is known only roughly, and the time to the contact counts from
-the beginning of the motion.
+The poses are stamped by the bench's clock, and a busy node processes poses late and in batches.
+Therefore the time of the release is known only roughly, and the time to contact is counted from the
+start of the motion.
 """
 
 from __future__ import annotations
@@ -31,27 +31,29 @@ from capture_sim.scene.launch_plan import expected_time, tip_at_release, travel_
 from capture_sim.scene.parts import PlanarState, Scene
 from capture_sim.trial.standstill import WINDOW, Pose, median_pose
 
-#: A fit goes over this time, s, and over this many poses at least.
+#: Duration of a fit, s, and the minimum number of its poses.
 FIT_WINDOW, MIN_FIT_POSES = 0.3, 12
 #: Time between two fits, s.
 FIT_PERIOD = 0.1
-#: After a longer gap, or a step back of the stamps by more, a fit starts again, s.
+#: A fit restarts after a longer gap, or after the stamps step back by more than this, s.
 MAX_FIT_GAP = 0.5
-#: The start is the median of the poses that arrived in this time before the release, s, in which
-#: the chaser has stood by rule; earlier ones may show how it was pulled back.  There must be this
-#: many of them; the first ones after the release fill up what is missing.
+#: The start is the median of the poses that arrived in this time before the release, s.  The
+#: interlocks require the chaser to be at rest in this time; earlier poses may show how it was
+#: pulled back.  The second value is the minimum number of poses.  If there are fewer, the first
+#: poses after the release are used as well.
 START_WINDOW, MIN_START_POSES = WINDOW, 5
-#: Poses that arrive within this time after the release have waited for the node, s (wall): the
-#: chaser was still at rest, or has moved by less than 0.1 mm.
+#: Poses that arrive within this time after the release count as poses at rest, s (wall): they were
+#: delayed in the node, or show a chaser that has moved by less than 0.1 mm.
 SETTLING_TIME = 0.05
-#: Poses that begin later than this after the release do not show where it was, s.
+#: If the first poses arrive later than this after the release, they do not show its start, s.
 MAX_START_DELAY = 0.5
-#: A chaser that has travelled this far has begun to move, m.
+#: The motion has started once the chaser has travelled this far, m.
 MIN_MOTION = 0.01
-#: The tip has met the cone when the median of this many gaps or travels is this close, m, as a
-#: bench's poses are no better.  A fit that goes over the contact shows a speed that is too low.
+#: The tip has met the cone when the median of this many gaps or travels is within this distance of
+#: contact, m, because poses of a bench are no more accurate.  A fit that includes the contact gives
+#: a speed that is too low.
 N_LATEST, CONTACT_DISTANCE = 5, 0.005
-#: The travel to the cone is predicted until the tip is this close to it, m.
+#: The travel to the cone is predicted until the tip is this close to the cone, m.
 MIN_PREDICTION_DISTANCE = 0.02
 
 
@@ -69,7 +71,7 @@ class TravelFit:
 
     def __init__(self) -> None:
         self._points: deque[tuple[float, float]] = deque()
-        self._fitted = -math.inf  # s, the last fit
+        self._fitted = -math.inf  # s, time of the last fit
 
     def add(self, t: float, travel: float) -> TravelEstimate | None:
         """Add a measured travel (m) at a stamp (s); return an estimate every :data:`FIT_PERIOD`."""
@@ -80,7 +82,7 @@ class TravelFit:
                 points.clear()
                 self._fitted = -math.inf
             elif t <= last_t or travel == last_travel:
-                return None  # overtaken, repeated, or frozen by a source that lost its view
+                return None  # out of order, repeated, or frozen because the source lost sight of it
         points.append((t, travel))
         while len(points) > MIN_FIT_POSES and points[0][0] < t - FIT_WINDOW:
             points.popleft()
@@ -98,25 +100,25 @@ class TravelFit:
 
 
 class BenchWatch:
-    """Follows a launch on a bench from its poses; see :class:`Launcher` for its decisions."""
+    """Follows a launch on a real bench by measured poses; :class:`Launcher` decides."""
 
     def __init__(self, launcher: Launcher, scene: Scene) -> None:
         self._launcher, self._scene = launcher, scene
         self._at_rest: deque[tuple[float, Pose]] = deque()  # s, arrival
-        self._stamps: deque[float] = deque(maxlen=MIN_START_POSES)  # s, of the last of these
+        self._stamps: deque[float] = deque(maxlen=MIN_START_POSES)  # s, of the last poses at rest
         self._start: Pose | None = None
-        self._late_by = 0.0  # s, from the release to the first pose; 0 where poses came before
+        self._late_by = 0.0  # s, from the release to the first pose; 0 if poses arrived before
         self._target: Pose | None = None
         self._deflection = (0.0, 0.0)  # of the buffer, m and rad
         self._zero = math.nan  # s, stamp of the release
-        self._released = math.inf  # s, its arrival
-        self._delay = 0.0  # s, from the release to the beginning of the motion
-        self.has_moved = False  # the chaser is under way
-        self._last = 0.0  # s, the latest pose,
-        self._last_arrival = math.nan
-        self._observed = 0.0  # ... and when the launch was last evaluated
+        self._released = math.inf  # s, release by the clock of the arrivals
+        self._delay = 0.0  # s, from the release to the start of the motion
+        self.has_moved = False  # the chaser has started to move
+        self._last = 0.0  # s, time of the latest pose since the release
+        self._last_arrival = math.nan  # s
+        self._observed = 0.0  # s, time of the last evaluation of the launch
         self._fit = TravelFit()
-        self._fit_end = -math.inf  # m, the travel up to which the speed is measured
+        self._fit_end = -math.inf  # m, travel up to which the speed is measured
         self._travels: deque[float] = deque(maxlen=N_LATEST)
         self._gaps: deque[float] = deque(maxlen=N_LATEST)
         self._furthest = 0.0  # m, largest median of the travels
@@ -125,15 +127,15 @@ class BenchWatch:
 
     @property
     def gap(self) -> float:
-        """From the tip to the cone by the latest poses, m; NaN while it is not known."""
+        """Gap between the tip and the cone by the latest poses, m; NaN while it is unknown."""
         return self._gaps[-1] if self._gaps else math.nan
 
     def release(self, arrival: float) -> None:
-        """Note that the chaser was let go; ``arrival``: s by the clock of :meth:`add_chaser`."""
+        """Note the release of the chaser; ``arrival``: s by the clock of :meth:`add_chaser`."""
         self._released = arrival
 
     def add_target(self, pose: Pose) -> None:
-        """Note the target's latest pose; one that is not finite is left out."""
+        """Note the target's latest pose; a pose that is not finite is ignored."""
         if all(map(math.isfinite, pose)):
             self._target = pose
 
@@ -143,18 +145,21 @@ class BenchWatch:
             self._deflection = (stroke, torsion)
 
     def note_contact(self) -> None:
-        """Note that the tip has met the cone, or may have, though no pose shows it."""
+        """Note that the tip has met the cone, or may have met it, although no pose shows it."""
         self._has_touched = True
 
     def may_have_touched(self, silence: float) -> bool:
-        """Return True if the tip can have met the cone, the last ``silence`` (s) without poses."""
+        """Return True if the tip may have met the cone.
+
+        ``silence``: time since the last pose, s, in which the tip may have travelled on.
+        """
         return self._has_touched or self._reaches(silence)
 
     def add_chaser(self, stamp: float, pose: Pose, arrival: float) -> LauncherStatus | None:
         """Add the chaser's pose; return the launcher's status if it was evaluated.
 
         ``stamp``: s by the bench's clock; ``arrival``: s by any steady clock.  A ``pose`` that is
-        not finite is left out.
+        not finite is ignored.
         """
         if not all(map(math.isfinite, pose)):
             return None
@@ -171,7 +176,7 @@ class BenchWatch:
         estimate = self._fit.add(t, travel)
         if estimate is not None:
             self._predict_contact(pose, travel)
-        # a wild stamp, or a node that was busy, shows no gap
+        # an outlier of the stamps, or a busy node, is not a gap between poses
         silence = max(0.0, min(t - self._last, arrival - self._last_arrival))
         self._note_travel(travel, silence)
         follows = 0.0 <= t - self._last <= MAX_FIT_GAP
@@ -184,7 +189,7 @@ class BenchWatch:
         return self._observe(estimate, t, travel)
 
     def _find_start(self, stamp: float, pose: Pose, arrival: float) -> None:
-        """Collect poses of the start; the first one after the release ends that."""
+        """Collect poses at rest; set the start at the first pose after the release has settled."""
         if len(self._stamps) == MIN_START_POSES and arrival > self._released + SETTLING_TIME:
             self._start = median_pose([each for _, each in self._at_rest])
             self._zero = median(self._stamps) - self._late_by
@@ -198,7 +203,10 @@ class BenchWatch:
             self._late_by = self._late_by or arrival - self._released
 
     def _note_travel(self, travel: float, silence: float) -> None:
-        """Note whether the tip has met the cone by now, or in the time without poses before, s."""
+        """Note a travel, m, and whether the tip has met the cone by now.
+
+        ``silence``: time without poses before this pose, s; the tip may have met the cone in it.
+        """
         self._has_touched = self._has_touched or self._reaches(silence)
         self._travels.append(travel)
         if len(self._travels) == N_LATEST:
@@ -207,18 +215,21 @@ class BenchWatch:
         self._has_touched = self._has_touched or is_at_cone or self._reaches(0.0)
 
     def _reaches(self, silence: float) -> bool:
-        """Return True if the furthest travel, continued for a time, s, reaches the cone."""
+        """Return True if the tip, moving on from its furthest travel, can reach the cone.
+
+        ``silence``: time for which the travel is extrapolated, s.
+        """
         speed = max(self._launcher.status.measured_speed, 0.0)
         if silence > FIT_PERIOD:  # the mass may have accelerated the chaser meanwhile
             speed = max(speed, self._launcher.plan.landing_speed)
         return self._furthest + speed * silence > self._contact_travel - CONTACT_DISTANCE
 
     def _observe(self, estimate: TravelEstimate | None, t: float, travel: float) -> LauncherStatus:
-        """Let the launcher evaluate an estimate; without one, the time and the contact."""
+        """Let the launcher evaluate an estimate; without an estimate, only time and contact."""
         launcher, is_late = self._launcher, self._late_by > 0.0
         plan = launcher.plan
         if estimate is None:
-            # a chaser at rest gives no estimates, nor does a source that has lost its view
+            # no estimates result from a chaser at rest, or from a source that has lost sight of it
             speed, speed_deviation = launcher.status.measured_speed, 0.0
             t, is_slack, fitted = t - self._delay, False, math.nan
         else:
@@ -229,7 +240,7 @@ class BenchWatch:
             speed, speed_deviation = estimate.speed, estimate.speed_deviation
             fitted = math.nan if is_late else estimate.travel
         if is_late and self._late_by > (1.0 - launcher.tolerance) * plan.contact_time:
-            t = math.nan  # what happened before is not known
+            t = math.nan  # the motion before the first pose is unknown
         unseen = self._unseen() if self._has_touched else ""
         if estimate is not None:
             self._fit_end = max(self._fit_end, travel)
@@ -246,7 +257,7 @@ class BenchWatch:
         return unseen_impact(self._contact_travel - CONTACT_DISTANCE - self._fit_end)
 
     def _predict_contact(self, pose: Pose, travel: float) -> None:
-        """Update the travel at which the tip meets the cone; infinite if it will miss it."""
+        """Update the travel at which the tip meets the cone; infinite if the tip will miss it."""
         if self._target is None or travel > self._contact_travel - MIN_PREDICTION_DISTANCE:
             return
         initial = self._scene.initial
@@ -257,9 +268,9 @@ class BenchWatch:
 
 
 def travel_to_cone(scene: Scene) -> float:
-    """Return the chaser's travel to the first touch, or into the throat, m; ``inf`` if it misses.
+    """Return the chaser's travel to the first touch or into the throat, m; ``inf`` for a miss.
 
-    A tip that flies along the cone's axis passes BE without a touch.
+    A tip that moves along the cone's axis passes BE, the cone's inner edge, without a touch.
     """
     travel = travel_to_touch(scene)
     if math.isfinite(travel):
@@ -273,7 +284,7 @@ def travel_to_cone(scene: Scene) -> float:
 def gap_to_cone(
     scene: Scene, chaser: Pose, target: Pose, deflection: tuple[float, float] = (0.0, 0.0)
 ) -> float:
-    """Return the gap from the tip to the cone's walls, m; at most 0 in contact and in the throat.
+    """Return the gap between the tip and the cone's walls, m; <= 0 in contact and in the throat.
 
     ``deflection``: stroke (m) and torsion (rad) of the buffer.
     """

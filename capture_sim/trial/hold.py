@@ -1,7 +1,7 @@
-"""The output launcher/hold: its period, its readers, its one publisher, and its silence.
+"""The output launcher/hold: its period, its readers, its single publisher, and its silence.
 
-A driver holds its chaser if the last message is older than :data:`HOLD_TIMEOUT`.  The thread that
-makes the decisions also publishes, so a stalled launcher falls silent and its driver holds.
+A driver holds its chaser when the last message is older than :data:`HOLD_TIMEOUT`.  The same thread
+decides and sends.  So a stalled launcher sends nothing, and its driver holds the chaser.
 """
 
 from __future__ import annotations
@@ -10,53 +10,56 @@ import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 
-#: Sent at least this often, s (wall).
+#: Maximum time between two messages, s (wall).
 HOLD_PERIOD = 0.1
-#: A driver holds after this long without a message, s.
+#: A driver holds its chaser after this time without a message, s.
 HOLD_TIMEOUT = 0.5
-#: A publisher is discovered before its node's name is; it gets this long to be named, s.
+#: A publisher is discovered before its node's name: a conflict is reported after this time, s.
 NAMING_TIME = 0.3
-#: A launcher that has just started may not have discovered another one yet: it lets nothing go
-#: for this long, s.
+#: A launcher releases nothing for this time after its start, s, because it may not have discovered
+#: another launcher yet.
 MEETING_TIME = 1.0
-#: Starts of the names of nodes that read topics and are no driver: `ros2 topic` and `ros2 bag`.
+#: First characters of the names of readers that are no driver: `ros2 topic` and `ros2 bag`.
 ONLOOKERS = ("_ros2cli", "rosbag2_recorder")
 
 
 class HoldOutput:
-    """Sends whether the chaser is held, with ``publish``, at each change and every period."""
+    """Publishes whether the chaser is held, at each change and at least every period.
+
+    ``publish`` is called with True to hold the chaser and with False to let it go.
+    """
 
     def __init__(self, publish: Callable[[bool], None]) -> None:
         self._publish = publish
-        self._is_held: bool | None = None  # as last sent
-        self._sent = -math.inf  # s, when
+        self._is_held: bool | None = None  # value last sent
+        self._sent = -math.inf  # s, time of the last message
 
     def silence(self, now: float) -> float:
         """Return the time since the last message, s; 0 before the first one."""
         return 0.0 if self._is_held is None else now - self._sent
 
     def update(self, is_held: bool, now: float) -> None:
-        """Send a message if the state has changed or the period is over; ``now`` in s."""
+        """Send a message if the state has changed or the period has elapsed; ``now`` in s."""
         if is_held is not self._is_held or now >= self._sent + HOLD_PERIOD:
             self._is_held, self._sent = is_held, now
             self._publish(is_held)
 
 
 class HoldReaders:
-    """Follows which nodes read launcher/hold: without a driver nothing may be let go.
+    """Monitors the nodes that read launcher/hold: without a driver, no release is permitted.
 
-    ``driver``: its name or full name; empty for any node but :data:`ONLOOKERS`.
+    ``driver``: name or full name of the driver; empty accepts any node except :data:`ONLOOKERS`.
     """
 
     def __init__(self, driver: str = "") -> None:
         self._driver = driver
-        self._since: dict[str, float] = {}  # s, when each driver was found, by its full name
+        self._since: dict[str, float] = {}  # s, time of discovery of each driver, by full name
         self._mismatches: tuple[str, ...] = ()
 
     def note(self, nodes: Collection[str], mismatches: Mapping[str, str], now: float) -> None:
-        """Note the full names of the nodes that read it at ``now``, s.
+        """Note the full names of the nodes that read launcher/hold at ``now``, s.
 
-        ``mismatches``: nodes that would, and why no message can reach them.
+        ``mismatches``: by full name, why no message can reach a node that has subscribed.
         """
         self._since = {n: self._since.get(n, now) for n in nodes if self._is_driver(n)}
         self._mismatches = tuple(
@@ -64,16 +67,17 @@ class HoldReaders:
         )
 
     def absence(self) -> str:
-        """Return the reason why no driver reads launcher/hold; empty if a driver does."""
+        """Return why launcher/hold reaches no driver; empty if it reaches a driver."""
         if self._since:
             return ""
         text = "launcher/hold: " + (f"not read by {self._driver}" if self._driver else "no reader")
         return f"{text} ({'; '.join(self._mismatches)})" if self._mismatches else text
 
     def refusal(self, now: float) -> str:
-        """Return why nothing may be let go; empty once each driver has received a true.
+        """Return why a release is refused; empty once each driver has received a true message.
 
-        It is sent every :data:`HOLD_PERIOD`, and a driver lets go only after it has received one.
+        True messages are sent every :data:`HOLD_PERIOD`.  A driver lets the chaser go only after it
+        has received one.
         """
         new = sorted(node for node, since in self._since.items() if now < since + HOLD_TIMEOUT)
         if new:
@@ -88,30 +92,30 @@ class HoldReaders:
 
 
 class HoldPublishers:
-    """Follows which nodes publish launcher/hold: a second one could release a held chaser.
+    """Monitors the nodes that publish launcher/hold: there must be only one publisher.
 
-    ``own`` is the full name of the launcher that asks, which publishes the topic once.  ``began``
-    (s) is when it started.  ``is_disputed`` is True if another publisher was found or heard since
-    :meth:`begin`.
+    With two publishers, one could release the chaser while the other commands a hold.  ``own``:
+    full name of this launcher, which has one publisher; ``began``: start time of the launcher, s.
+    ``is_disputed``: another publisher was found or heard since :meth:`begin`.
     """
 
     def __init__(self, own: str, began: float) -> None:
         self._own, self._began = own, began
-        self._others: tuple[str, ...] = ()  # full names, a second node of the launcher's name too
+        self._others: tuple[str, ...] = ()  # full names; includes a second node of the own name
         self._nameless_since = self._heard_since = math.inf  # s
         self._lets_go = self._has_heard_own = False
         self.is_disputed = False
 
     def begin(self) -> None:
-        """Start a release, at which there is one publisher: discard earlier messages."""
+        """Forget the messages heard before a release: there is only one publisher now."""
         self._heard_since = math.inf
         self._lets_go = self._has_heard_own = self.is_disputed = False
 
     def hear(self, is_held: bool, lets_go: bool, now: float) -> None:
-        """Note a message of launcher/hold, the launcher's own or another node's.
+        """Note a received message of launcher/hold, of this launcher or of another node.
 
-        ``lets_go``: the launcher has sent false last.  Once that has come back, a true is not its
-        own.
+        ``lets_go``: this launcher has sent false last.  Once it has received its own false, a true
+        message comes from another node.
         """
         if lets_go and self._lets_go and is_held and self._has_heard_own:
             self._heard_since = min(self._heard_since, now)
@@ -121,22 +125,22 @@ class HoldPublishers:
 
     @property
     def has_nameless(self) -> bool:
-        """True while a publisher is there whose node is not known yet."""
+        """True while there is a publisher whose node name is still unknown."""
         return min(self._nameless_since, self._heard_since) < math.inf and not self._others
 
     def note(self, nodes: Sequence[str], n_nameless: int, now: float) -> None:
         """Note the full name of the node of each publisher at ``now``, s.
 
-        ``n_nameless``: publishers whose node is not known.
+        ``n_nameless``: number of publishers whose node name is unknown.
         """
-        if now > self._heard_since + MEETING_TIME:  # it has left, and was named if it could be
+        if now > self._heard_since + MEETING_TIME:  # the other publisher has left, or has a name
             self._heard_since = math.inf
         self._others = tuple(sorted((Counter(nodes) - Counter([self._own])).elements()))
         self._nameless_since = min(self._nameless_since, now) if n_nameless else math.inf
         self.is_disputed = self.is_disputed or bool(self._others) or n_nameless > 0
 
     def conflict(self, now: float) -> str:
-        """Return the complaint that other nodes publish launcher/hold; empty if none does."""
+        """Return an error text that names other publishers of launcher/hold; empty without any."""
         others = " and ".join(self._others)
         if not others and now > min(self._nameless_since, self._heard_since) + NAMING_TIME:
             others = "a node without a name"
@@ -148,7 +152,7 @@ class HoldPublishers:
         )
 
     def refusal(self, now: float) -> str:
-        """Return why nothing may be let go; empty if no other node can publish it."""
+        """Return why a release is refused; empty if no other node can publish launcher/hold."""
         if conflict := self.conflict(now):
             return conflict
         if self.has_nameless:

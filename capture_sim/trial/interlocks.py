@@ -1,6 +1,6 @@
-"""Interlocks: conditions on the measurements, before a release and during the approach.
+"""Interlocks: conditions on the measurements before a release and during the approach.
 
-:class:`Interlocks` sees each pose and each buffer state; no release bypasses it.
+:class:`Interlocks` receives each pose and buffer state; every release of the chaser depends on it.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from capture_sim.trial.standstill import (
     Standstill,
 )
 
-#: A stamp that is older than the one before by more is that of a clock that was set back, s.
+#: If a stamp is older than the previous stamp by more than this, the clock was set back, s.
 MAX_STEP_BACK = 0.5
-#: So many of these within so many s are the stamps of two publishers.
+#: Number of such steps back within a window, s, that show two publishers on one topic.
 MIN_STEPS_BACK, STEP_WINDOW = 3, 1.0
-#: Rate and clock of a source are those of its last messages, in periods of so many s.
+#: Length, s, and number of the latest periods from which a source's rate and clock are computed.
 PERIOD, N_PERIODS = 0.1, 10
-#: A clock has stepped when so many messages in turn show it: a single stamp may be wild.
+#: Number of consecutive messages that must show a clock step: a single stamp may be an outlier.
 N_STEPPED = 5
 #: A source that is silent for longer between release and verdict is a problem of the trial, s.
 MAX_SILENCE = 1.0
 
-#: A body may be turned from the scene's start by this, rad.
+#: Maximum rotation of a body from its start in the scene, rad.
 MAX_START_TURN = math.radians(10.0)
-#: A buffer at rest is deflected by less, m and rad.
+#: Maximum stroke, m, and torsion, rad, of a buffer at rest.
 MAX_REST_STROKE, MAX_REST_TORSION = 0.003, 0.05
 
-#: Rules before a release that a laboratory may waive by name, and what each demands.
+#: Release rules that a laboratory may waive by name, and the condition of each.
 RULES = {
     "machine_clock": "the sources' clocks agree with this machine's",
     "start": "both bodies are where the scene starts",
@@ -117,30 +117,30 @@ class TrialLimits:
 
 
 class SourceMonitor:
-    """Follows the messages of one topic.
+    """Monitors the messages of one topic.
 
-    A message with a number that is not finite, or with a stamp that does not advance, holds no new
-    measurement: a driver has lost its view, and repeats.
+    A message with a non-finite number, or with a stamp that does not advance, contains no new
+    measurement: its driver has lost sight of the vehicle and repeats the last measurement.
     """
 
     def __init__(self) -> None:
         self.n_messages = 0
         self._stamp: int | None = None  # ns
         self._values: tuple[float, ...] = ()
-        self._last_new = -math.inf  # s, arrival of the last new measurement,
-        self._last_change = -math.inf  # ... and of the last with other values
+        self._last_new = -math.inf  # s, arrival of the last new measurement
+        self._last_change = -math.inf  # s, arrival of the last measurement with changed values
         self._steps_back: deque[float] = deque(maxlen=MIN_STEPS_BACK)  # arrivals, s
-        # begin (s), number, and largest stamp less arrival (s) of the messages of each period
+        # for each period: start (s), number of messages, largest stamp minus arrival (s)
         self._periods: deque[tuple[float, int, float]] = deque(maxlen=N_PERIODS + 1)
-        self._latest: deque[float] = deque(maxlen=N_STEPPED)  # stamp less arrival, s
+        self._latest: deque[float] = deque(maxlen=N_STEPPED)  # stamp minus arrival, s
         self._reference = math.nan  # s, clock at the release
-        self._stepped_back = False  # since then
-        self._quickest = -math.inf  # s, largest stamp less arrival since a step back
+        self._stepped_back = False  # a stamp has stepped back since the release
+        self._quickest = -math.inf  # s, largest stamp minus arrival since a step back
 
     def add(self, stamp: int, values: tuple[float, ...], arrival: float) -> bool:
-        """Note a message: its stamp, ns by any clock, and its arrival, s by a steady one.
+        """Note a message: its stamp, ns by any clock, and its arrival, s by a steady clock.
 
-        Return whether it holds a new measurement.
+        Return True if the message contains a new measurement.
         """
         self.n_messages += 1
         advance = math.inf if self._stamp is None else (stamp - self._stamp) * 1e-9
@@ -164,35 +164,39 @@ class SourceMonitor:
         return True
 
     def age(self, now: float) -> float:
-        """Return the time since the last new measurement, s; ``inf`` if there was none."""
+        """Return the time since the last new measurement, s; ``inf`` before the first."""
         return now - self._last_new
 
     def has_two_clocks(self, now: float) -> bool:
-        """Return True if the stamps alternate between two clocks, as from two publishers."""
+        """Return True if the stamps jump back and forth, as from two publishers."""
         steps = self._steps_back
         return len(steps) == MIN_STEPS_BACK and steps[0] > now - STEP_WINDOW
 
     def rate(self, now: float) -> float:
-        """Return the new measurements per second, Hz; NaN while that is not known."""
+        """Return the rate of new measurements, Hz; NaN while it is unknown."""
         periods = [p for p in self._periods if p[0] >= now - (N_PERIODS + 1) * PERIOD]
         span = now - periods[0][0] if periods else 0.0
         return sum(p[1] for p in periods) / span if span > 5.0 * PERIOD else math.nan
 
     def clock(self, now: float) -> float:
-        """Return the stamp of the quickest late message less its arrival, s; NaN without any."""
+        """Return the source's clock minus the clock of the arrivals, s; NaN while it is unknown.
+
+        This is the largest stamp minus arrival of the latest periods, i.e. of the message with the
+        shortest delay.
+        """
         periods = [p for p in self._periods if p[0] >= now - (N_PERIODS + 1) * PERIOD]
         enough = sum(p[1] for p in periods) >= N_STEPPED
         return max(p[2] for p in periods) if enough else math.nan
 
     def mark(self) -> None:
-        """Note the clock at the release from the message with the least delay."""
+        """Note the clock at the release, given by the message with the shortest delay."""
         self._reference, self._stepped_back = self._quickest, False
 
     def clock_step(self) -> float:
-        """Return by how much the clock was set since the release, s; 0 if it was not.
+        """Return the step by which the clock was set since the release, s; 0 if it was not set.
 
-        Late messages look like a clock that was set back, but their stamps do not step back; no
-        message comes too early.
+        Delayed messages look like a clock that was set back, but their stamps do not step back.  A
+        step forward cannot be confused with a delay, because no message arrives too early.
         """
         if not math.isfinite(self._reference) or len(self._latest) < N_STEPPED:
             return 0.0
@@ -202,16 +206,16 @@ class SourceMonitor:
         return behind if behind < -MAX_STEP_BACK and self._stepped_back else 0.0
 
     def unchanged(self, now: float) -> float:
-        """Return the time since a measurement last had other values than the one before, s."""
+        """Return the time since the measured values last changed, s."""
         return now - self._last_change
 
 
 class Interlocks:
-    """Sees each measurement; returns the reasons to refuse a release or to abort an approach.
+    """Checks each measurement; returns why a release is refused or why the approach must end.
 
-    ``topics`` has, by source, the names of the topics that it may publish.  :meth:`choose` decides
-    which of them a trial uses; the other topics then do not count.  ``readers`` and ``publishers``
-    are the readers and publishers of launcher/hold.  ``waived`` has the names of the :data:`RULES`
+    ``topics``: by source, the names of the topics that it may publish.  :meth:`choose` selects the
+    topic that a trial uses; the source's other topics are then ignored.  ``readers`` and
+    ``publishers``: readers and publishers of launcher/hold.  ``waived``: names of :data:`RULES`
     that do not refuse a release.
     """
 
@@ -227,20 +231,21 @@ class Interlocks:
         self.readers = readers or HoldReaders()
         self.publishers = publishers or HoldPublishers("/launcher", -math.inf)
         self.monitors = {name: SourceMonitor() for names in topics.values() for name in names}
-        #: This machine's clock less that of the arrivals, s; NaN: it is not compared.
+        #: This machine's clock minus the clock of the arrivals, s; NaN: the rule
+        #: ``machine_clock`` is not checked.
         self.machine_clock = math.nan
         self.held = HeldWatch(limits.stop_timeout)
         self.waived = frozenset(waived)
-        #: Lines of the broken rules of plausibility by which nothing may be let go,
+        #: A line for each broken plausibility rule that refuses a release.
         self.implausible: tuple[str, ...] = ()
-        #: ... and what looks for them anew, for the moment of the release.
+        #: Function that updates :attr:`implausible` just before a release.
         self.look_for_implausible: Callable[[], None] = lambda: None
         self._scene: Scene | None = None  # of the trial
         self._last: dict[str, tuple[float, ...]] = {}  # the latest measurement, by topic
         self._standstills = {name: Standstill() for name in topics.get(Source.CHASER, ())}
         self._topics = {source: tuple(names) for source, names in topics.items()}
         self._chosen: dict[Source, str] = {}
-        self._publishers: dict[str, tuple[str, ...]] | None = None  # nodes, by topic
+        self._publishers: dict[str, tuple[str, ...]] | None = None  # names of nodes, by topic
         self._mismatches: dict[str, str] = {}
 
     def add(self, topic: str, stamp: int, values: tuple[float, ...], arrival: float) -> None:
@@ -254,21 +259,24 @@ class Interlocks:
     def note_publishers(
         self, nodes: Mapping[str, Sequence[str]], mismatches: Mapping[str, str]
     ) -> None:
-        """Note which nodes publish each topic, and of which topics no message can come, and why."""
+        """Note the nodes that publish each topic, and why no message of a topic can arrive.
+
+        ``nodes``: full names by topic.  ``mismatches``: reasons by topic, e.g. another type.
+        """
         self._publishers = {topic: tuple(names) for topic, names in nodes.items()}
         self._mismatches = dict(mismatches)
 
     def begin(self, scene: Scene | None = None) -> None:
-        """Choose the topics again at the start of a trial of a scene."""
+        """Start a trial of this scene: forget which topics the previous trial used."""
         self._scene = scene
         self._chosen.clear()
 
     def choose(self, source: Source, topic: str) -> bool:
-        """Return True if the trial uses this topic of a source: the first that is asked for."""
+        """Return True if the trial uses this topic of a source: the first one passed here."""
         return self._chosen.setdefault(source, topic) == topic
 
     def refusal(self, now: float) -> str:
-        """Return the reasons against letting the chaser go; empty if there are none."""
+        """Return the reasons against releasing the chaser; empty if there are none."""
         stale = [
             self._stale_text(source, now, limit)
             for source, limit in self._limited()
@@ -280,7 +288,7 @@ class Interlocks:
         return "; ".join(filter(None, [*stale, *conflicts, *hold, *rules]))
 
     def note_hold(self, is_held: bool, now: float) -> None:
-        """Note that the chaser is let go, or held again."""
+        """Note at ``now``, s, that the chaser is held, or that it is let go."""
         if is_held:
             self.held.hold(now)
             return
@@ -293,18 +301,18 @@ class Interlocks:
             self.monitors[self._best(source)].mark()
 
     def watch_held(self, now: float) -> None:
-        """Look whether a chaser that was held has stopped, see :attr:`HeldWatch.alarm`."""
+        """Check whether a chaser that was held again has stopped, see :attr:`HeldWatch.alarm`."""
         self.held.update(self._standstill(), now)
 
     def clock_steps(self) -> list[str]:
         """Return a line for each source whose clock was set since the release."""
         steps = {n: self.monitors[n].clock_step() for n in map(self._best, self._needed())}
-        if "machine_clock" in self.waived:  # it may run at another rate, too
+        if "machine_clock" in self.waived:  # the clock's rate may differ as well: only steps back
             steps = {name: min(step, 0.0) for name, step in steps.items()}
         return [f"{name}: clock stepped by {step:+.3g} s" for name, step in steps.items() if step]
 
     def silences(self, now: float) -> dict[str, float]:
-        """Return how long each needed topic has been silent, s, where this exceeds its limit."""
+        """Return the silence, s, of each topic of a needed source that is silent for too long."""
         ages = {
             self._best(source): (self._age(source, now), limit) for source, limit in self._limited()
         }
@@ -345,7 +353,10 @@ class Interlocks:
         return [*lines, *self.implausible]
 
     def _rest_rules(self, scene: Scene, now: float) -> list[tuple[str, str]]:
-        """Compare both bodies with the scene's start, and the buffer with its rest."""
+        """Compare the relative pose of the bodies with the scene's start, and the buffer with rest.
+
+        Return a name and a text for each broken rule.
+        """
         broken = []
         chaser, target = self._standstill().pose(now), self._last.get(self._best(Source.TARGET))
         if chaser is not None and target is not None:
@@ -376,10 +387,10 @@ class Interlocks:
         return broken
 
     def blindness(self, now: float, *, has_moved: bool) -> tuple[str, float]:
-        """Return why the approach must end, or an empty text, and how long it was unobserved, s.
+        """Return why the approach must end, and for how long the chaser was not seen, s.
 
-        ``has_moved`` is True if the chaser is under way.  An exactly repeated pose then comes from
-        a driver that has lost sight of the chaser.
+        The reason is empty if the approach may continue.  ``has_moved``: the chaser is moving, so
+        an exactly repeated pose shows that the driver has lost sight of it.
         """
         limit, age = self.limits.max_pose_age, self._age(Source.CHASER, now)
         if not age <= limit:
@@ -408,7 +419,7 @@ class Interlocks:
         return [(source, limit) for source, limit in needed.items() if limit > 0.0]
 
     def _best(self, source: Source) -> str:
-        """Return the topic of a source that is used, or the one with the latest measurement."""
+        """Return the topic that the trial uses, else the topic with the latest measurement."""
         names = self._topics[source]
         return self._chosen.get(source) or min(names, key=lambda name: self.monitors[name].age(0.0))
 
@@ -416,10 +427,9 @@ class Interlocks:
         return self.monitors[self._best(source)].age(now)
 
     def _conflict(self, source: Source) -> str:
-        """Return the complaint that several nodes publish a sensor's topics; empty if one does.
+        """Return an error text if several nodes publish one source's topics; else an empty text.
 
-        One of them is usually a simulator or a player that was left running, and chance would
-        decide which one is used.
+        With e.g. a driver and a simulator, the topic that the trial uses would be left to chance.
         """
         publishers, topics = self._publishers or {}, self._topics[source]
         nodes = sorted({node for topic in topics for node in publishers.get(topic, ())})
@@ -431,7 +441,7 @@ class Interlocks:
         )
 
     def _stale_text(self, source: Source, now: float, limit: float) -> str:
-        """Name the topic, its age, and the fault of its publishers."""
+        """Return a text with the topic, the age of its last measurement and publisher problems."""
         topics = self._topics[source]
         best = self._best(source)
         age = self.monitors[best].age(now)

@@ -1,6 +1,6 @@
-"""Whether the chaser stands, by its measured poses: before a release, and after it was held.
+"""Detection of a chaser at rest from its measured poses, before a release and after a hold.
 
-A driver that ignores launcher/hold shows in nothing but the motion.
+Only the chaser's motion shows that a driver ignores launcher/hold.
 """
 
 from __future__ import annotations
@@ -12,38 +12,43 @@ from statistics import median
 
 Pose = tuple[float, float, float]  # x, y (m), heading (rad), in the world
 
-#: The poses of this window are compared, s: the median of the first third with that of the newest.
+#: Window of the compared poses, s: the median of its first third is compared with the median of
+#: the newest poses.
 WINDOW = 0.6
-#: The newest poses.  Their median shows a sudden motion in the third pose, and ignores two wild
-#: ones; by that of a third of the window, a chaser would stand for 0.1 s after it was pushed.
+#: Maximum number of newest poses.  Their median shows a sudden motion at the third pose and ignores
+#: two outliers.  With the last third of the window, a chaser would count as at rest for 0.1 s after
+#: a push.
 N_NEWEST = 5
-#: The poses must cover this time, s, and there must be this many of them.
+#: Minimum time that the poses must cover, s, and minimum number of poses.
 MIN_SPAN, MIN_POSES = 0.4, 6
-#: A chaser stands if it moved by at most this, m and rad.  Noise of 1 mm stays below it.
+#: Maximum motion of a chaser at rest, m and rad.  Noise of 1 mm stays below it.
 MAX_DRIFT, MAX_TURN = 0.003, 0.03
-#: It is back at its start within this distance, m.
+#: A chaser within this distance of its start is back at its start, m.
 MAX_START_ERROR = 0.05
 
 
 class Standstill:
-    """Compares the latest poses of the chaser, which must be finite and new."""
+    """Compares the latest poses of the chaser; the caller adds only finite, new poses."""
 
     def __init__(self) -> None:
         self._poses: deque[tuple[float, Pose]] = deque()  # s, arrival
 
     def add(self, pose: Pose, now: float) -> None:
-        """Note a pose at its arrival ``now``, s."""
+        """Add a pose that arrived at ``now``, s."""
         self._poses.append((now, pose))
         while self._poses[0][0] < now - WINDOW:
             self._poses.popleft()
 
     def pose(self, now: float) -> Pose | None:
-        """Return the median of the latest poses; None without any."""
+        """Return the median of the poses in the window before ``now``, s; None without any."""
         poses = [pose for t, pose in self._poses if t >= now - WINDOW]
         return median_pose(poses) if poses else None
 
     def drift(self, now: float) -> tuple[float, float] | None:
-        """Return how far the chaser has moved, m, and turned, rad; None while that is not known."""
+        """Return how far the chaser has moved, m, and turned, rad.
+
+        None if there are fewer than :data:`MIN_POSES`, or if they cover less than :data:`MIN_SPAN`.
+        """
         poses = [each for each in self._poses if each[0] >= now - WINDOW]
         if len(poses) < MIN_POSES or poses[-1][0] - poses[0][0] < MIN_SPAN:
             return None
@@ -54,7 +59,7 @@ class Standstill:
         return math.dist(first[:2], last[:2]), abs(turn)
 
     def motion(self, now: float) -> str:
-        """Return in words how the chaser moves; empty if it stands, or if too few poses tell."""
+        """Return the chaser's motion in words; empty if it is at rest or has too few poses."""
         drift = self.drift(now)
         if drift is None or (drift[0] <= MAX_DRIFT and drift[1] <= MAX_TURN):
             return ""
@@ -64,32 +69,33 @@ class Standstill:
         )
 
     def stands(self, now: float) -> bool:
-        """Return True if the poses show that it stands."""
+        """Return True if the poses show that the chaser is at rest."""
         return self.drift(now) is not None and not self.motion(now)
 
 
 class HeldWatch:
-    """Follows whether a chaser that was let go stops once it is held again.
+    """Checks that a chaser stops once it is held again after a release.
 
-    ``timeout``: s, in which it must.  Otherwise :attr:`alarm` says so until it stands at its start.
+    ``timeout``: time in which the chaser must stop, s.  Otherwise :attr:`alarm` reports the motion
+    until the chaser is at rest at its start.
     """
 
     def __init__(self, timeout: float) -> None:
         self._timeout = timeout
-        self._start: Pose | None = None  # where it was let go
-        self._held: float = math.nan  # s, when it was held; NaN while nothing is watched
+        self._start: Pose | None = None  # pose at the release
+        self._held: float = math.nan  # s, time of the hold; NaN while nothing is checked
         self.alarm = ""
 
     def let_go(self, pose: Pose | None) -> None:
-        """Note that it is let go at a pose."""
+        """Note that the chaser is released at this pose."""
         self._start, self._held = pose, math.nan
 
     def hold(self, now: float) -> None:
-        """Note that it is held from ``now`` on, s."""
+        """Note that the chaser is held from ``now`` on, s."""
         self._held = now
 
     def update(self, standstill: Standstill, now: float) -> None:
-        """Look at the motion at ``now``, s."""
+        """Check the motion at ``now``, s, and set or clear :attr:`alarm`."""
         stands = standstill.stands(now)
         if self.alarm:
             pose = standstill.pose(now)

@@ -1,8 +1,9 @@
 """A trial of a real bench as a state machine, without ROS.
 
-PREPARING -> APPROACH -> CONTACT -> DECIDED -> CLOSING -> OVER; every phase may go to CLOSING.  The
-chaser is held except from the release to CLOSING.  :class:`Trial` sees each measurement and a
-steady clock.  :meth:`Trial.advance` alone decides, and returns the steps for its caller to take.
+The phases are PREPARING -> APPROACH -> CONTACT -> DECIDED -> CLOSING -> OVER.  Every phase before
+CLOSING can also change directly to CLOSING, and APPROACH directly to DECIDED.  The chaser is held
+except from the release to CLOSING.  :class:`Trial` receives each measurement and the time of a
+steady clock.  Only :meth:`Trial.advance` decides; it returns the steps that its caller must do.
 """
 
 from __future__ import annotations
@@ -23,15 +24,15 @@ from capture_sim.trial.hold import HOLD_TIMEOUT
 from capture_sim.trial.interlocks import Interlocks
 from capture_sim.trial.standstill import Pose
 
-#: Verdicts that may be expected, as the detector names them.
+#: Verdicts that a goal may expect, as the detector names them.
 VERDICTS = ("captured", "rebound", "missed", "stuck", "undecided")
-#: Characters of a name and of a note.
+#: Maximum number of characters of a name and of a note.
 MAX_NAME, MAX_NOTE = 200, 2000
-#: State of the detector from which on the chaser is at the cone.
+#: State of the detector from the first contact on: the chaser is at the cone.
 _CONTACT = "contact"
-#: A status of the detector has the stamp of a pose, but for such an error, s.
+#: Maximum difference of a detector status's stamp from the stamps of the poses, s.
 MAX_STAMP_ERROR = 1.0
-#: Reason of a trial that the client has cancelled.
+#: Failure reason of a trial that the client has cancelled.
 CANCELLED = "cancelled"
 
 
@@ -53,19 +54,19 @@ class TrialStep(Enum):
     RELEASE = "release"
     ABORT = "abort"
     CLOSE = "close"  # report to the other nodes that the trial has ended
-    WITHDRAW = "withdraw"  # the same before a release: the trial may be announced once more
+    WITHDRAW = "withdraw"  # as CLOSE, but before a release: the trial may be announced again
 
 
 @dataclass(frozen=True)
 class TrialGoal:
-    """The goal that an operator sends; fields as in action/RunTrial.action."""
+    """The trial that an operator requests; fields as in action/RunTrial.action."""
 
     name: str
     note: str = ""
     expected: str = ""
 
     def __post_init__(self) -> None:
-        """Check the texts; CaptureSimError names the field that is wrong."""
+        """Check the texts; CaptureSimError names the invalid field."""
         for name, text, longest in (
             ("name", self.name, MAX_NAME),
             ("note", self.note, MAX_NOTE),
@@ -80,7 +81,7 @@ class TrialGoal:
 
 @dataclass
 class MeasuredLoads:
-    """Loads since the release, as measured; NaN where nothing measured them."""
+    """Measured peak loads since the release; NaN if no sensor has measured them."""
 
     max_force: float = math.nan  # N, change of the load cell's force since before the release
     max_stroke: float = math.nan  # m, largest compression
@@ -89,7 +90,7 @@ class MeasuredLoads:
     _rest_count: int = 0
 
     def add_force(self, force: tuple[float, float, float], *, is_released: bool) -> None:
-        """Note a force, N; the mean force before the release is the sensor's offset."""
+        """Add a measured force, N; the mean force before the release is the sensor's offset."""
         if not all(map(math.isfinite, force)):
             return
         if not is_released:
@@ -100,7 +101,7 @@ class MeasuredLoads:
         self.max_force = _larger(self.max_force, math.dist(force, offset))
 
     def add_buffer(self, stroke: float, torsion: float) -> None:
-        """Note a stroke, m, and a torsion, rad, after the release."""
+        """Add a stroke, m, and a torsion, rad, measured after the release."""
         self.max_stroke = _larger(self.max_stroke, -stroke)
         self.max_torsion = _larger(self.max_torsion, abs(torsion))
 
@@ -108,9 +109,10 @@ class MeasuredLoads:
 class Trial:
     """One trial, from the goal to its result.
 
-    ``has_actuator``: the chaser is let go by this trial; else by hand, at any time, and nothing is
-    aborted but by the client.  ``needs_client``: it is let go only after
-    :meth:`note_result_request`.  ``now``: s by a steady clock, as all times of arrival.
+    ``has_actuator``: this trial releases the chaser.  Otherwise a person releases it by hand at any
+    time, and only the client can abort the trial.  ``needs_client``: the trial releases the chaser
+    only after :meth:`note_result_request`.  ``now``: present time, s, by the steady clock that also
+    gives all times of arrival.
     """
 
     def __init__(
@@ -126,35 +128,35 @@ class Trial:
     ) -> None:
         self.goal, self.scene, self.launcher = goal, scene, launcher
         self.loads = MeasuredLoads()
-        #: The detector's state: its label, and why it is in it.
+        #: Label of the detector's state, and the detector's reason for it.
         self.verdict, self.verdict_reason = "", ""
-        #: Why the trial was refused or aborted; empty if it was neither.
+        #: Reason why the trial was refused or aborted; empty if neither happened.
         self.failure = ""
-        #: What the recording lacks.
+        #: Problems of the trial and gaps of its recording, a line each.
         self.problems: list[str] = []
         self.is_released = False
-        self.released = math.nan  # s, when
+        self.released = math.nan  # s, time of the release
         self._interlocks, self._limits = interlocks, interlocks.limits
         interlocks.begin(scene)
         self._has_actuator = has_actuator
         self.set_launch(launcher.tolerance, aborts=launcher.aborts)
         self._lacks_client = needs_client
-        self._silent = -math.inf  # s, when a silence of launcher/hold was last noted,
-        self._silence = ""  # ... and one after the release
+        self._silent = -math.inf  # s, time when a silence of launcher/hold was last noted
+        self._silence = ""  # text of a silence of launcher/hold after the release
         self._watch = BenchWatch(launcher, scene)
         self._phase = TrialPhase.PREPARING
         self._phase_since = now
         self._is_announced = self._are_others_ready = self._are_others_done = False
-        self._pending = ""  # which other nodes are waited for
-        self._absent = ""  # which required ones do not take part,
-        self._lost: Mapping[str, str] = {}  # ... and which have left, by role: a line each
+        self._pending = ""  # nodes that the trial waits for
+        self._absent = ""  # required nodes that do not take part
+        self._lost: Mapping[str, str] = {}  # required nodes that have left: a line for each role
         self._is_final = False
         self._cancelled = ""
-        self._silences: dict[str, tuple[float, float]] = {}  # by topic: begin and end, s
-        #: Lines of the broken rules by which no verdict counts, see plausibility.
+        self._silences: dict[str, tuple[float, float]] = {}  # by topic: start and end, s
+        #: A line for each broken plausibility rule that makes the verdict undecided.
         self.doubts: tuple[str, ...] = ()
-        self._steps: list[str] = []  # of clocks, since the release
-        self._stamps = (math.inf, -math.inf)  # s, first and latest pose of the chaser
+        self._steps: list[str] = []  # a line for each clock that was set since the release
+        self._stamps = (math.inf, -math.inf)  # s, smallest and largest stamp of chaser poses
         self._statuses: list[tuple[int, LauncherStatus]] = []
 
     @property
@@ -164,24 +166,24 @@ class Trial:
 
     @property
     def waived(self) -> tuple[str, ...]:
-        """Rules before a release that the laboratory waives, by name."""
+        """Names of the release rules that the laboratory waives; empty without an actuator."""
         return tuple(sorted(self._interlocks.waived)) if self._has_actuator else ()
 
     @property
     def holds(self) -> bool:
-        """True unless the chaser is let go by this trial."""
+        """True if the trial holds the chaser; always True without an actuator."""
         is_running = TrialPhase.PREPARING < self._phase < TrialPhase.CLOSING
         is_alone = not self._interlocks.publishers.is_disputed
         return not (self._has_actuator and is_running and is_alone and not self._silence)
 
     @property
     def gap(self) -> float:
-        """From the tip to the cone, as measured, m; NaN while it is not known."""
+        """Measured gap between the tip and the cone, m; NaN while it is unknown."""
         return self._watch.gap
 
     @property
     def outcome(self) -> tuple[str, str]:
-        """The verdict, empty if nothing was released, and why."""
+        """The verdict and its reason; the verdict is empty if the chaser was not released."""
         if not self.is_released:
             return "", self.failure
         found = "; ".join(self.sensor_problems)
@@ -205,23 +207,23 @@ class Trial:
 
     @property
     def deviation(self) -> str:
-        """How the launch differs from its plan; empty before it has begun."""
+        """How the launch differs from its plan; empty before the launch."""
         return self.launcher.deviation if self._is_launched else ""
 
     @property
     def was_aborted(self) -> bool:
-        """True if the chaser was let go and then held because of a failure or a cancel."""
+        """True if the chaser was released and then held because of a failure or a cancel."""
         return bool(self.failure) and self.is_released
 
     def waiting_for(self, now: float) -> str:
-        """Return why the present phase lasts; empty if that is the bench itself."""
+        """Return what the phase waits for; empty if it only waits for the bench's motion."""
         if self._phase is TrialPhase.PREPARING:
             return self._refusal(now) or self._pending
         return self._pending if self._phase is TrialPhase.CLOSING else ""
 
     @property
     def _is_launched(self) -> bool:
-        """True once the chaser is let go; by hand, once it moves."""
+        """True once the chaser is released; without an actuator, once it has moved."""
         return self.is_released and (self._has_actuator or self._watch.has_moved)
 
     # what is measured
@@ -229,7 +231,7 @@ class Trial:
     def add_pose(self, source: Source, topic: str, stamp: int, pose: Pose, now: float) -> None:
         """Add a pose of a vehicle: x, y (m), heading (rad); the stamp in ns by the bench's clock.
 
-        Of each vehicle the first topic that comes in a trial is used.
+        For each vehicle, a trial uses only the topic that delivers the first pose.
         """
         if not self._interlocks.choose(source, topic):
             return
@@ -243,7 +245,7 @@ class Trial:
             self._statuses.append((stamp, status))
 
     def take_statuses(self) -> list[tuple[int, LauncherStatus]]:
-        """Return the launcher's statuses since the last call, each with a stamp, ns."""
+        """Return the launcher's statuses since the last call, each with its pose's stamp, ns."""
         statuses, self._statuses = self._statuses, []
         return statuses
 
@@ -256,7 +258,7 @@ class Trial:
             self.loads.add_buffer(stroke, torsion)
 
     def add_force(self, x: float, y: float, z: float) -> None:
-        """Add a force of the load cell, N."""
+        """Add a force measured by the load cell, N."""
         self.loads.add_force((x, y, z), is_released=self._is_launched)
 
     # what the other nodes report
@@ -264,10 +266,11 @@ class Trial:
     def add_verdict(
         self, state: str, reason: str, *, is_final: bool, stamp: int | None = None
     ) -> None:
-        """Note the detector's state: one of :data:`VERDICTS`, or a label before it.
+        """Note the detector's state: one of :data:`VERDICTS`, or the label of an earlier state.
 
-        One of another detector or of a player has the ``stamp`` (ns) of no pose of this trial, and
-        is ignored.  So is one before the release: it is the end of an earlier trial.
+        A state is ignored if its ``stamp`` (ns) lies outside the stamps of this trial's poses by
+        more than :data:`MAX_STAMP_ERROR`: another detector or a player has sent it.  A state before
+        the release is also ignored, because it belongs to an earlier trial.
         """
         if not self.is_released:
             return
@@ -290,22 +293,23 @@ class Trial:
         absent: str = "",
         lost: Mapping[str, str] | None = None,
     ) -> None:
-        """Note whether the other nodes have joined, and have ended the trial; else which not.
+        """Note whether the other nodes have joined the trial, and whether they have left it.
 
-        ``absent``: which required node cannot take part; ``lost``: by role, which required node
-        has left before the end.
+        ``pending``: the nodes that the trial waits for.  ``absent``: the required nodes that cannot
+        take part.  ``lost``: by role, the required nodes that have left before the end.
         """
         self._are_others_ready, self._are_others_done = ready, done
         self._pending, self._absent, self._lost = pending, absent, lost or {}
 
     def note_result_request(self) -> None:
-        """Note that the client has asked for the result: it knows that its goal was accepted."""
+        """Note that the client has requested the result, so it knows that its goal was accepted."""
         self._lacks_client = False
 
     def note_silence(self, silence: float, now: float) -> None:
-        """Note for how long launcher/hold was not sent, s.
+        """Note how long launcher/hold was not sent, s.
 
-        Beyond ``max_hold_silence`` the driver may have held: the chaser is then not let go again.
+        After more than ``max_hold_silence`` the driver may have held the chaser.  The trial then
+        does not release it again.
         """
         limit = self._limits.max_hold_silence
         if silence <= limit:
@@ -315,18 +319,18 @@ class Trial:
             self._silence = f"launcher/hold: silent for {silence:.3g} s: must be at most {limit:g}"
 
     def set_launch(self, tolerance: float, *, aborts: bool) -> None:
-        """Use other settings of the launch, see :class:`Launcher`; by hand none aborts."""
+        """Change the launch settings, see :class:`Launcher`; without an actuator none aborts."""
         self.launcher.tolerance = tolerance
         self.launcher.aborts = aborts and self._has_actuator
 
     def cancel(self, reason: str = CANCELLED) -> None:
-        """End the trial and hold the chaser, at the next :meth:`advance`."""
+        """End the trial and hold the chaser at the next :meth:`advance`."""
         self._cancelled = self._cancelled or reason
 
     # decisions
 
     def advance(self, now: float) -> list[TrialStep]:
-        """Decide at ``now``, s; return the actions for the caller, in order."""
+        """Decide at time ``now``, s; return the steps that the caller must do, in order."""
         steps: list[TrialStep] = []
         while True:
             before = self._phase, self._is_announced
@@ -354,9 +358,9 @@ class Trial:
         return []
 
     def _prepare(self, now: float, in_phase: float) -> list[TrialStep]:
-        """Announce the trial once all is fresh; release once the other nodes have joined."""
+        """Announce the trial once a release is permitted; release once the nodes have joined."""
         if self._is_announced and self._lost:
-            # one that was killed, and perhaps started again since: the next announcement has it
+            # a node that was killed may have restarted: the next announcement includes it
             self._is_announced, self._are_others_ready = False, False
             self._absent, self._lost = "; ".join(self._lost.values()), {}
             return [TrialStep.WITHDRAW]
@@ -369,7 +373,7 @@ class Trial:
         if not self._is_announced:
             self._is_announced = True
             return [TrialStep.ANNOUNCE]
-        self._interlocks.look_for_implausible()  # the last look may be half a second old
+        self._interlocks.look_for_implausible()  # the last check may be half a second old
         if self._refusal(now):
             return []
         self._enter(TrialPhase.APPROACH, now)
@@ -380,8 +384,8 @@ class Trial:
         return [TrialStep.RELEASE] if self._has_actuator else []
 
     def _refusal(self, now: float) -> str:
-        """Return why the chaser must not be let go; empty if it may."""
-        if not self._has_actuator:  # by hand it goes when it goes: nothing is to be refused
+        """Return why the chaser must not be released; empty if it may be."""
+        if not self._has_actuator:  # a release by hand cannot be refused
             return ""
         reasons = [self._interlocks.refusal(now), self._absent]
         if self._lacks_client:
@@ -391,7 +395,7 @@ class Trial:
         return "; ".join(filter(None, reasons))
 
     def _follow(self, now: float) -> list[TrialStep]:
-        """Follow the chaser to the verdict; abort an approach that is blind or not as planned."""
+        """Follow the chaser to the verdict; abort an approach that is unseen or not as planned."""
         if self._has_actuator and (conflict := self._interlocks.publishers.conflict(now)):
             return self._fail(conflict, now)
         self._note_sources(now)
@@ -421,7 +425,7 @@ class Trial:
         return []
 
     def _note_sources(self, now: float) -> None:
-        """Note sources that are silent, and clocks that were set, between release and verdict."""
+        """Note silent sources and stepped clocks between the release and the verdict."""
         for topic, age in self._interlocks.silences(now).items():
             begin = max(now - age, self.released)
             self._silences[topic] = min(begin, self._silences.get(topic, (begin, 0.0))[0]), now
@@ -429,7 +433,7 @@ class Trial:
 
     @property
     def sensor_problems(self) -> list[str]:
-        """A line for each sensor that was not there from the release to the verdict."""
+        """A line for each sensor that was silent, or whose clock was set, before the verdict."""
         lines = []
         for topic, (begin, end) in self._silences.items():
             since = max(0.0, begin - self.released)
@@ -448,7 +452,7 @@ class Trial:
             self._enter(TrialPhase.OVER, now)
 
     def _fail(self, reason: str, now: float) -> list[TrialStep]:
-        """Hold the chaser and end the trial for a reason."""
+        """Hold the chaser and end the trial with this failure reason."""
         self.failure = reason
         self.launcher.abort(reason)
         return [TrialStep.ABORT, *self._close(now)] if self._is_announced else self._close(now)

@@ -1,7 +1,7 @@
-"""What every node is made of: one thread, parameters, publishers, a process that ends in order.
+"""The parts of every node: one thread, parameters, publishers, a process with orderly shutdown.
 
 Takes: Topics as data (``messages/topics.py``).
-Gives: ``BenchNode``, and its ``main``.
+Gives: ``BenchNode``, and ``run``, with which each node's file makes its ``main``.
 Must not know: Runs and trials.
 Begin with: ``node.py``.
 """

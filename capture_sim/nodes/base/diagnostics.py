@@ -10,7 +10,7 @@ from typing import NamedTuple
 from capture_sim.nodes.base.endpoints import message_class
 from capture_sim.nodes.base.node import BenchNode
 
-#: Published this often, s (wall).
+#: Period of publication, s (wall).
 PERIOD = 1.0
 
 
@@ -32,7 +32,7 @@ class DiagnosticStatus(NamedTuple):
 
 
 class Diagnostics:
-    """Publishes a node's statuses, stamped with the wall's time: they are about the process."""
+    """Publishes a node's statuses, stamped with wall time because they describe the process."""
 
     def __init__(self, node: BenchNode) -> None:
         self._node = node

@@ -1,4 +1,4 @@
-"""Topics as ROS has them: message classes, quality of service, names of nodes."""
+"""Topics in terms of ROS: message classes, quality of service, names of nodes."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from rclpy.serialization import deserialize_message
 from capture_sim.errors import MessageError
 from capture_sim.messages.topics import CLOCK, Topic
 
-#: A node that is there is discovered, and its subscriptions are, within this long, s (wall), as a
-#: rule: on a busy machine it can be seconds.
+#: A running node and its subscriptions are normally discovered within this time, s (wall).  On a
+#: busy machine discovery can take seconds.
 DISCOVERY_TIME = 0.3
-#: A message that has been sent arrives within this long, s (wall), unless its reader is stalled.
+#: A sent message arrives within this time, s (wall), unless its reader is stalled.
 TRANSIT_TIME = 0.5
-#: The last message, for subscribers that come later.
+#: Quality of service that keeps the last message for late subscribers.
 TRANSIENT_LOCAL = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -38,10 +38,10 @@ def message_class(type_name: str) -> Any:
 
 
 def qos_of(topic: Topic, *, transient_local: bool | None = None) -> QoSProfile:
-    """Return the quality of service of a topic as ROS has it, from the table of topics.
+    """Return the ROS quality of service of a topic from the table of topics.
 
-    ``transient_local``: False for a subscriber of a transient-local topic that wants only new
-    messages, and all of these; as the topic unless given.
+    ``transient_local``: False for a subscriber of a transient-local topic that needs every new
+    message and no earlier ones.  Default: as in the table.
     """
     transient_local = topic.transient_local if transient_local is None else transient_local
     keeps_last = topic.keeps_last and transient_local == topic.transient_local
@@ -56,7 +56,7 @@ def qos_of(topic: Topic, *, transient_local: bool | None = None) -> QoSProfile:
 
 
 def qos_problem(offered: QoSProfile, requested: QoSProfile) -> str:
-    """Return why a reader gets nothing from a publisher, by their profiles; empty if it does.
+    """Return why two profiles prevent a reader from receiving; empty if they are compatible.
 
     Durations that a profile leaves at their default, 0, are infinite once its publisher exists.
     """
@@ -65,17 +65,17 @@ def qos_problem(offered: QoSProfile, requested: QoSProfile) -> str:
         if getattr(offered, name).nanoseconds == 0:
             setattr(offered, name, Infinite)
     compatibility, reason = qos_check_compatible(offered, requested)
-    # equal, not the same: each call makes an object of its own
+    # compared by ==, not by identity: each call returns a new object
     return str(reason) if compatibility == QoSCompatibility.ERROR else ""
 
 
 def is_own(topic: Topic) -> bool:
-    """Return True if only nodes of this suite publish a topic: it is reliable then."""
+    """Return True if only nodes of this suite publish a topic, so that it is reliable."""
     return topic is CLOCK or topic.type_name.startswith("capture_sim/")
 
 
 def from_bytes(topic: Topic, data: bytes) -> Any:
-    """Return the message of a topic that was taken raw; MessageError if the bytes are none."""
+    """Return the message of a topic from its bytes; MessageError if they are no such message."""
     try:
         return deserialize_message(data, message_class(topic.type_name))
     except RuntimeError:  # rclpy's RMWError, of several lines
@@ -83,5 +83,8 @@ def from_bytes(topic: Topic, data: bytes) -> Any:
 
 
 def full_name(end: Any) -> str:
-    """Return the full name of the node that an end of a topic belongs to."""
+    """Return the full name of the node that a publisher or subscription belongs to.
+
+    ``end``: TopicEndpointInfo of rclpy.
+    """
     return f"{end.node_namespace.rstrip('/')}/{end.node_name}"

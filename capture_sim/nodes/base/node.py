@@ -1,4 +1,4 @@
-"""The base of all nodes: one thread, callbacks only inside :meth:`BenchNode.wait`."""
+"""The base class of all nodes: one thread, callbacks run only inside :meth:`BenchNode.wait`."""
 
 from __future__ import annotations
 
@@ -30,30 +30,31 @@ from capture_sim.nodes.base.parameters import ParameterNode
 from capture_sim.nodes.base.publishers import Publishers
 
 try:
-    # a fortieth of the plain executor's cost per message; not in every rclpy
+    # needs a fortieth of the plain executor's CPU time per message; not in every rclpy
     from rclpy.experimental import EventsExecutor
 except ImportError:
     EventsExecutor = SingleThreadedExecutor
 
-#: A subscriber of a transient-local topic keeps this many messages until its callback has run.
+#: Minimum queue depth of a subscription, in messages that wait for their callback.  Topics of
+#: :attr:`Rate.CONTROL` are excepted.
 MIN_DEPTH = 100
-#: A wait looks at its condition, and at Ctrl-C, at least this often, s (wall).
+#: Maximum time between two checks of a wait's condition and of Ctrl-C, s (wall).
 POLL = 0.1
-#: The publishers and readers of a rig's topics are looked up this often, s (wall).
+#: Period of the look-up of publishers and readers of a rig's topics, s (wall).
 LOOK_UP_PERIOD = 0.5
-#: What unexpected numbers, lists and bytes raise in a callback.
+#: Exceptions that unexpected numbers, lists and bytes raise in a callback.
 _ODD_CONTENTS = (ValueError, TypeError, LookupError, ArithmeticError, AssertionError, struct.error)
 
 
 class BenchNode(ParameterNode):
-    """A node with one thread: its callbacks run inside :meth:`wait` and nowhere else.
+    """A node with one thread, whose callbacks run only inside :meth:`wait` and :meth:`serve`.
 
-    ``options`` are the options of :class:`rclpy.node.Node`.  ``end_request`` is an event that ends
-    the node, by default the Ctrl-C of the process.  ``exit_status`` is the status that the process
-    returns when it is ended.  ``failure`` is an error in a callback, which the next wait raises.
+    ``options``: arguments of :class:`rclpy.node.Node`.  ``end_request``: event that ends the node,
+    by default the process's Ctrl-C.  ``exit_status``: exit status of the process after Ctrl-C.
+    ``failure``: first error in a callback; the next wait raises it.
     """
 
-    #: The node of rclpy's default context.
+    #: Returns the node of rclpy's default context, of which a process has at most one.
     _of_process: ClassVar[Callable[[], BenchNode | None]] = lambda: None
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -70,10 +71,10 @@ class BenchNode(ParameterNode):
         self.callback_executor: Executor | None = None
         self._interrupted = False
         self._rejections: Counter[Topic] = Counter()
-        self._best_effort: list[Callable[[], None]] = []  # subscriptions to be made again
+        self._best_effort: list[Callable[[], None]] = []  # each replaces a subscription
 
     def _refuse_company(self, name: str) -> None:
-        """Raise CaptureSimError if this process has a node of the suite already."""
+        """Raise CaptureSimError if this process already has a node of the suite."""
         if (other := BenchNode._of_process()) is not None:
             raise CaptureSimError(
                 f"{name}: this process has the node {other.get_name()}: must be one node of "
@@ -83,7 +84,7 @@ class BenchNode(ParameterNode):
 
     @property
     def executor(self) -> Any:
-        """The executor that serves this node: its own, and no other."""
+        """The executor that serves this node; only the node's own executor may."""
         return super().executor
 
     @executor.setter
@@ -99,17 +100,17 @@ class BenchNode(ParameterNode):
         """Do the node's work; return the exit status."""
         raise NotImplementedError
 
-    # waiting, the only place where callbacks run
+    # waiting: callbacks run only here
 
     def wait(self, until: Callable[[], bool] | None = None, limit: float = math.inf) -> bool:
         """Run callbacks until ``until()`` is true or ``limit`` s (wall) have passed.
 
         Return True if ``until()`` is true.  The first wait after the request to end raises
-        KeyboardInterrupt.  Later waits do not raise it, so the node can shut down in order.  An
-        error in a callback is raised here.
+        KeyboardInterrupt; later waits belong to the shutdown and do not raise it again.  A wait
+        also raises an error that a callback has raised.
         """
         deadline = time.monotonic() + limit
-        has_served = False  # a wait without time serves once
+        has_served = False  # a wait with limit 0 serves once
         while True:
             if self.failure is not None:
                 raise self.failure
@@ -134,7 +135,7 @@ class BenchNode(ParameterNode):
             self._best_effort.pop()()
 
     def wake(self) -> None:
-        """Interrupt the present wait so that it checks its condition; call it from any thread."""
+        """Let a wait check its condition at once; may be called from any thread."""
         executor = self.callback_executor
         if executor is not None:
             executor.create_task(lambda: None)
@@ -142,13 +143,14 @@ class BenchNode(ParameterNode):
     def freeze_objects(self) -> None:
         """Exclude the objects that exist now from later garbage collections.
 
-        A collection of all of them takes longer than a tick.  Call it when a node begins its work.
+        A collection of all objects takes longer than a tick.  Call this method when a node starts
+        its work.
         """
         gc.collect()
         gc.freeze()
 
     def close(self) -> None:
-        """Leave the network; the executor must let the node go first."""
+        """Remove the node from its executor, then leave the network."""
         if self.callback_executor is not None:
             self.callback_executor.remove_node(self)
             self.callback_executor.shutdown()
@@ -158,7 +160,7 @@ class BenchNode(ParameterNode):
         self.destroy_node()
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a callback whose errors end the node by its next :meth:`wait`."""
+        """Wrap a callback: an error in it is raised by the node's next :meth:`wait`."""
 
         @wraps(callback)
         def call(*arguments: Any) -> Any:
@@ -167,13 +169,13 @@ class BenchNode(ParameterNode):
                 return callback(*arguments)
             except Exception as error:
                 self.failure = self.failure or error
-                return arguments[-1] if arguments else None  # of a service: its response
+                return arguments[-1] if arguments else None  # for a service: its response
             finally:
                 self.in_callback = False
 
         return call
 
-    # what callbacks are called for
+    # subscriptions and timers
 
     def listen(
         self,
@@ -184,11 +186,11 @@ class BenchNode(ParameterNode):
         raw: bool = False,
         **options: Any,
     ) -> None:
-        """Subscribe to a topic; with ``raw`` the callback receives a message's bytes.
+        """Subscribe to a topic; ``raw``: the callback accepts a message's bytes.
 
-        A message that cannot be used is rejected with one log line, and the node
-        continues.  An error that no message has caused ends the node.  A topic of a rig is read
-        best effort as soon as one publisher offers no more than that.
+        An unusable message is rejected with one log line, and the node continues.  An error that no
+        message has caused ends the node.  The subscription to a rig's topic changes to best effort
+        once a publisher offers no more.
         """
 
         def take(data: bytes) -> None:
@@ -225,7 +227,7 @@ class BenchNode(ParameterNode):
             topic.name,
             take,
             qos,
-            raw=True,  # rmw_fastrtps prints ten lines about bytes that are no message
+            raw=True,  # otherwise rmw_fastrtps prints ten lines about bytes that are no message
             **options,
         )
 
@@ -235,7 +237,7 @@ class BenchNode(ParameterNode):
         self.create_timer(period, self.guarded(callback), clock=steady)
 
     def reject(self, topic: Topic, error: Exception) -> None:
-        """Log that a message is rejected, the first one of a topic; the others are counted."""
+        """Log the first rejected message of a topic; count further rejected messages."""
         self._rejections[topic] += 1
         if self._rejections[topic] == 1:
             kind = "" if isinstance(error, MessageError) else f"{type(error).__name__}: "
@@ -243,7 +245,7 @@ class BenchNode(ParameterNode):
             self.get_logger().error(one_line(text))
 
     def report_rejections(self) -> None:
-        """Log how many messages of each topic were rejected, if more than one."""
+        """Log the number of rejected messages of each topic with more than one; reset the counts."""
         for topic, count in self._rejections.items():
             if count > 1:
                 self.get_logger().warning(f"{topic.name}: {count} messages rejected")
@@ -252,7 +254,7 @@ class BenchNode(ParameterNode):
     # sending
 
     def open(self, topics: Sequence[Topic]) -> None:
-        """Make the publishers of these topics."""
+        """Create the publishers of these topics."""
         self.topic_publishers.open(topics)
 
     def send(self, topic: Topic, data: Any) -> bool:
@@ -260,19 +262,19 @@ class BenchNode(ParameterNode):
         return self.topic_publishers.send(topic, data)
 
     def publish(self, *messages: Sent) -> None:
-        """Publish messages of a telemetry."""
+        """Publish the messages that a telemetry object has made."""
         for message in messages:
             self.topic_publishers.send(message.topic, message.data)
 
     # the graph
 
     def nodes_that_publish(self, topic: Topic) -> list[str]:
-        """Return the full names of the nodes that publish a topic, for each publisher."""
+        """Return the full name of the node of each publisher of a topic."""
         ends = self.get_publishers_info_by_topic(self.resolve_topic_name(topic.name))
         return [full_name(end) for end in ends]
 
 
 def named_end_error(error: Exception) -> str:
-    """Return the line by which a node ends because of an error."""
+    """Return the log line of an error that ends a node."""
     kind = "" if isinstance(error, CaptureSimError) else f"stopped by {type(error).__name__}: "
     return one_line(f"{kind}{error}")

@@ -1,4 +1,4 @@
-"""Parameters of a node: described, bounded, and rejected in one line with the permitted values."""
+"""Parameters of a node, with description and range; an error names the permitted values."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _UNSET: dict[type, Any] = {list: [""], float: math.nan}
 
 
 class ParameterError(CaptureSimError):
-    """A parameter of a node is not usable; the message gives the permitted values."""
+    """A parameter of a node is invalid; the message gives the permitted values."""
 
 
 class ParameterNode(Node):
@@ -47,7 +47,7 @@ class ParameterNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self._checks: dict[str, tuple[type, Callable[[Any], object]]] = {}
-        # declared automatically, one given as [] would end rclpy with a ValueError (7.1)
+        # if declared automatically, a parameter given as [] would end rclpy with a ValueError (7.1)
         with self.handle:
             given = self.handle.get_parameters(Parameter)
         self._given = {
@@ -70,14 +70,15 @@ class ParameterNode(Node):
         allowed: str = "",
         check: Callable[[Any], object] | None = None,
     ) -> Any:
-        """Declare a parameter and return its value; ParameterError, one line, if it cannot be used.
+        """Declare a parameter and return its value; ParameterError, in one line, if it is invalid.
 
-        The description says the unit.  A ``default`` that is a type: ``list`` for texts, [] unless
-        given (['']), ``float`` for a number, NaN unless given.  ``low`` and ``high`` bound a
-        number; ``choices`` are all that a text may be, or the texts of a list, each once;
-        ``allowed`` says in words what these do not.  ``check`` is called with the value, now and
-        before every change, and raises CaptureSimError if it cannot be used.  A ``read_only`` value
-        is fixed from the start.
+        ``default``: a value, or the type ``list`` or ``float`` for a parameter that may be unset.
+        An unset list of texts is returned as [] (in ROS it is ['']), an unset number as NaN.
+        ``description`` includes the unit.  ``low`` and ``high``: range of a number, used if both
+        are given.  ``choices``: permitted values of a text, or of the texts of a list, each at most
+        once.  ``allowed``: further conditions in words.  ``check`` is called with the value, now
+        and before every change, and raises CaptureSimError if the value is invalid.  A
+        ``read_only`` value cannot be changed after the start.
         """
         kind = default if isinstance(default, type) else type(default)
         descriptor = ParameterDescriptor(description=description, read_only=read_only)
@@ -116,10 +117,10 @@ class ParameterNode(Node):
     def declare_fields(
         self, defaults: Any, name_of: Callable[[str], str] = str, *, read_only: bool = True
     ) -> Any:
-        """Declare a parameter for each quantity of a dataclass; return it with their values.
+        """Declare a parameter for each quantity of a dataclass; return the dataclass with values.
 
-        ``name_of`` returns a parameter's name from the name of its field, or an empty text for no
-        parameter.
+        ``defaults``: dataclass instance with the default values.  ``name_of`` maps a field's name
+        to its parameter's name, or to an empty text for a field without parameter.
         """
         values = {}
         for field in declared(type(defaults)).values():
@@ -139,7 +140,7 @@ class ParameterNode(Node):
     ) -> Path | None:
         """Declare a path; return None if it is empty.
 
-        ParameterError if ``why_not`` returns a reason why it is none of this ``kind``.
+        ``why_not`` returns why a path is not of this ``kind``; ParameterError if there is a reason.
         """
         text = self.declare(name, default, description)
         if text and (reason := why_not(Path(text))):
@@ -147,7 +148,7 @@ class ParameterNode(Node):
         return Path(text) if text else None
 
     def warn_of_unknown_parameters(self) -> None:
-        """Warn of parameters that were given and never declared: mistyped, most likely."""
+        """Warn of parameters that were given but never declared; probably they are mistyped."""
         declared = self.list_parameters([], 0).names
         for name in self._given:
             near = difflib.get_close_matches(name, declared, n=1)
@@ -166,7 +167,7 @@ class ParameterNode(Node):
 
 
 def declare_scene(node: ParameterNode, description: str, default: str = "") -> Scene | None:
-    """Declare ``scene`` and ``overrides`` of a bench; return the scene if there is one."""
+    """Declare the parameters ``scene`` and ``overrides``; return the scene, None without one."""
     name = node.declare("scene", default, f"{description}; name in config/scenes, or file")
     overrides = node.declare("overrides", list, "changes of that scene (SI)")
     if overrides and not name and not default:
@@ -175,14 +176,14 @@ def declare_scene(node: ParameterNode, description: str, default: str = "") -> S
 
 
 def _is_unset(value: object, kind: type) -> bool:
-    """Return True if a value is the one that stands for none in a parameter of this kind."""
+    """Return True if a value marks a parameter of this kind as unset."""
     if kind is float:
         return isinstance(value, float) and math.isnan(value)
     return kind is list and value == _UNSET[list]
 
 
 def _fits(value: object, kind: type, choices: Sequence[str]) -> bool:
-    """True if a value that was given has the type and is of the choices, where there are some."""
+    """Return True if a given value has this type and, if there are choices, is one of them."""
     if type(value) is not kind:
         return False
     texts = value if isinstance(value, list) else [value]

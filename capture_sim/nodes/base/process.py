@@ -1,4 +1,4 @@
-"""A node as a process: Ctrl-C, shutdown in order, an exit status.
+"""A node as a process: Ctrl-C, orderly shutdown, exit status.
 
 SIGINT and SIGTERM set :data:`capture_sim.base.interrupts.STOP`; the node's next wait raises
 KeyboardInterrupt.
@@ -29,9 +29,10 @@ from capture_sim.nodes.base import dds
 from capture_sim.nodes.base.endpoints import TRANSIT_TIME
 from capture_sim.nodes.base.node import BenchNode, named_end_error
 
-#: DDS gets this long to shut down, s (wall).
+#: Maximum time for the shutdown of DDS, s (wall).
 DDS_SHUTDOWN_TIMEOUT = 5
-#: A process that was asked to end is ended after this long, s (wall): a disk may be stalled.
+#: Maximum time from the request to end to the end of the process, s (wall), e.g. with a stalled
+#: disk.
 SHUTDOWN_TIMEOUT = 10.0
 
 
@@ -39,59 +40,59 @@ def run(
     make: Callable[[], BenchNode],
     args: Sequence[str] | None = None,
 ) -> int:
-    """Make a node, do its work and shut it down; return the exit status of the process.
+    """Create a node, do its work and shut down in order; return the process's exit status.
 
-    The status is 0 if the work is done or Ctrl-C has ended it, which is a node's ordinary end.  It
-    is 1 if the node or one of its runs has failed, and 2 if a parameter or the scene is wrong.
-    ``args`` is the command line.  None takes that of the process, and the process then ends: if DDS
-    does not shut down, it is ended after :data:`DDS_SHUTDOWN_TIMEOUT`.
+    Status 0: done, or ended by Ctrl-C, which is a node's ordinary end.  Status 1: the node or one
+    of its runs has failed.  Status 2: a parameter or the scene is invalid.  ``args``: command line,
+    None for the command line of the process.  The process must end after this call: if DDS does not
+    shut down, the process is ended after :data:`DDS_SHUTDOWN_TIMEOUT`.
     """
     if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
         try:
             print(_usage(make), flush=True)
-        except BrokenPipeError:  # e.g. head has read what it wanted
+        except BrokenPipeError:  # e.g. head has closed the pipe
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     watch_signals(STOP)
     threading.Thread(target=_limit_shutdown, name="shutdown", daemon=True).start()
     try:
         hidden = dds.configure(os.environ)
-        # rclpy's own handlers shut DDS down at once; ours leave time for the last messages
+        # rclpy's handlers shut DDS down at once; capture_sim's leave time for the last messages
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         try:
             status = _live(make, hidden)
         finally:
             rclpy.try_shutdown()
-        leave_if_busy(status)  # compiling goes on after Ctrl-C
+        leave_if_busy(status)  # compiling continues after Ctrl-C
         return status
     except CaptureSimError as error:
         return _refuse(str(error))
-    # arguments that rclpy cannot parse (RCLError), parameters of every node, names
+    # arguments that rclpy cannot parse (RCLError), invalid common parameters, invalid names
     except (RuntimeError, ParameterException, NameValidationException) as error:
         return _refuse(str(error).splitlines()[0])
-    except KeyboardInterrupt:  # while the node was made
+    except KeyboardInterrupt:  # while the node was created
         leave_if_busy(OK)
         end_within(DDS_SHUTDOWN_TIMEOUT, OK)
         return OK
     finally:
-        # Python's own end would give them back their default, and a further signal would then
-        # kill the process
+        # Python's shutdown would restore the default handlers; a further signal would then kill
+        # the process
         for signum in (signal.SIGINT, signal.SIGTERM):
             signal.signal(signum, signal.SIG_IGN)
 
 
 def _wake_at_end(node: BenchNode) -> None:
-    """Let a node notice at once that its process is asked to end."""
+    """Wake a node at once when its process is asked to end."""
     node.end_request.wait()
     node.wake()
 
 
 def _limit_shutdown() -> None:
-    """End the process if it has not ended :data:`SHUTDOWN_TIMEOUT` after it was asked to."""
+    """End the process :data:`SHUTDOWN_TIMEOUT` after the request to end, if it still runs."""
     STOP.wait()
     time.sleep(SHUTDOWN_TIMEOUT)
     text = f"no shutdown within {SHUTDOWN_TIMEOUT:g} s, e.g. of a stalled disk: process ended"
-    with suppress(OSError):  # who reads it may have been killed
+    with suppress(OSError):  # the process that reads the text may have been killed
         print(f"{REFUSAL}{text}", file=sys.stderr, flush=True)
     os._exit(FAILED)
 
@@ -103,7 +104,10 @@ def _refuse(reason: str) -> int:
 
 
 def live(node: BenchNode) -> int:
-    """Let a node work to its end in the calling thread, then close it; return the exit status."""
+    """Let a node work to its end in the calling thread; return the exit status.
+
+    Before it returns, sent messages get :data:`TRANSIT_TIME` to arrive.
+    """
     log = node.get_logger()
     try:
         node.warn_of_unknown_parameters()

@@ -1,4 +1,4 @@
-"""The publishers of a node: nothing is lost while its readers read."""
+"""The publishers of a node: no message is lost as long as its readers read."""
 
 from __future__ import annotations
 
@@ -22,25 +22,26 @@ from capture_sim.nodes.base.endpoints import (
     qos_problem,
 )
 
-#: How a reader's full queue shows in rclpy's error; every other one is an error.
+#: Text of rclpy's error when a reader's queue is full; any other error is a failure.
 FULL_QUEUE = "cannot publish data"
-#: Messages that DDS keeps for a reader that has been dropped.
+#: Number of messages that DDS keeps for a dropped reader.
 DROPPED_DEPTH = 1000
-#: Once a reader is dropped, a topic is sent at this rate at most, Hz: the others then lose nothing.
+#: Maximum rate of a topic after a reader was dropped, Hz, so that the other readers lose nothing.
 DROPPED_RATE = 4000.0
-#: A new publisher waits this long for the readers of the one it replaces, s (wall).
+#: A new publisher waits this long for the readers of the publisher that it replaces, s (wall).
 MATCHING_TIMEOUT = 1.0
-#: Nodes are asked for a sign of life so often: a response to a client just met may be lost.
+#: Number of requests that check whether a node responds: the response to a newly discovered client
+#: may be lost.
 ASKED = 4
-#: Queues and acknowledgements are looked at this often, s (wall).
+#: Polling period of queues and acknowledgements, s (wall).
 _POLL = 0.001
 
 
 class Publishers:
     """The publishers of a node, by topic.
 
-    ``reader_timeout``: s (wall), after which a reader that reads nothing is dropped, see
-    :meth:`send`; ``dropped``: full names of the nodes whose readers have been dropped.
+    ``reader_timeout``: time after which a reader that reads nothing is dropped, s (wall), see
+    :meth:`send`.  ``dropped``: full names of the nodes whose readers have been dropped.
     """
 
     def __init__(self, node: Any) -> None:
@@ -48,26 +49,26 @@ class Publishers:
         self.dropped: list[str] = []
         self._node = node
         self._senders: dict[Topic, Any] = {}
-        self._next_due: dict[Topic, float] = {}  # s (wall), of the topics that are slowed down
+        self._next_due: dict[Topic, float] = {}  # s (wall), of topics limited to DROPPED_RATE
 
     @property
     def topics(self) -> list[Topic]:
-        """The topics that are open."""
+        """The topics that have a publisher."""
         return list(self._senders)
 
     def open(self, topics: Sequence[Topic]) -> None:
-        """Make the publishers of these topics."""
+        """Create the publishers of these topics."""
         for topic in topics:
             self._senders[topic] = self._node.create_publisher(
                 message_class(topic.type_name), topic.name, qos_of(topic)
             )
 
     def send(self, topic: Topic, message: Any) -> bool:
-        """Publish a message on one of the open topics; wait while a reader's queue is full.
+        """Publish a message on an open topic; wait while a reader's queue is full.
 
         A reader that has read nothing for ``reader_timeout`` is dropped: DDS then keeps the last
-        :data:`DROPPED_DEPTH` messages for it.  Return False if the node was asked to end meanwhile;
-        the message is not sent then.  CaptureSimError if the message cannot be published.
+        :data:`DROPPED_DEPTH` messages for it.  Return True if the message was sent, False if the
+        node was asked to end while waiting.  CaptureSimError if the message cannot be published.
         """
         if topic in self._next_due:
             now = time.monotonic()
@@ -86,11 +87,11 @@ class Publishers:
         return False
 
     def matched(self, topic: Topic) -> int:
-        """Return how many subscriptions an open topic has found."""
+        """Return the number of subscriptions that are matched with an open topic's publisher."""
         return int(self._senders[topic].get_subscription_count())
 
     def readers(self, topic: Topic) -> list[str]:
-        """Return the full names of the nodes that an open topic serves, for each subscription."""
+        """Return the full name of the node of each subscription compatible with an open topic."""
         offered = self._senders[topic].qos_profile
         name = self._node.resolve_topic_name(topic.name)
         return [
@@ -100,15 +101,15 @@ class Publishers:
         ]
 
     def drain(self, limit: float) -> list[Topic]:
-        """Wait until all that was sent has arrived, ``limit`` s (wall) at most.
+        """Wait until all sent messages have been acknowledged, at most ``limit`` s (wall).
 
-        Return the topics of which something has not; after the request to end the wait is at most
-        :data:`TRANSIT_TIME`.
+        Return the topics with unacknowledged messages.  After the request to end, the wait lasts at
+        most :data:`TRANSIT_TIME`.
         """
         deadline = time.monotonic() + limit
         left = dict(self._senders)
         while True:
-            # in slices: rclpy holds Python's lock while it waits
+            # in short slices, because rclpy holds the GIL while it waits
             slice_ = Duration(nanoseconds=200_000)
             left = {topic: s for topic, s in left.items() if not s.wait_for_all_acked(slice_)}
             now = time.monotonic()
@@ -119,7 +120,7 @@ class Publishers:
             time.sleep(_POLL)
 
     def report_stalled(self, topic: Topic) -> None:
-        """Name the nodes that have not read a topic for too long."""
+        """Log the nodes that have not read a topic for too long, and add them to ``dropped``."""
         own = self._node.get_fully_qualified_name()
         names = sorted({*self.readers(topic)} - {own})
         if not self._node.in_callback:
@@ -140,14 +141,17 @@ class Publishers:
         return True
 
     def _pause(self, seconds: float) -> None:
-        """Wait; callbacks run meanwhile unless this is one."""
+        """Wait; run callbacks meanwhile, unless called from a callback."""
         if self._node.in_callback:
             time.sleep(seconds)
         else:
             self._node.wait(limit=seconds)
 
     def _unresponsive(self, names: Sequence[str]) -> list[str]:
-        """Return the nodes that do not answer; a listener of `ros2 topic` cannot be asked."""
+        """Return the nodes that do not respond to a request for their parameters.
+
+        A node without parameter services, such as a listener of `ros2 topic`, is not returned.
+        """
         kind = ListParameters
         clients = {n: self._node.create_client(kind, f"{n}/list_parameters") for n in names}
         answers: dict[str, list[Any]] = {name: [] for name in names}
@@ -162,10 +166,10 @@ class Publishers:
         return [n for n, sent in answers.items() if sent and not any(a.done() for a in sent)]
 
     def _drop_stalled(self, topic: Topic) -> None:
-        """Replace the publishers of a topic by new ones that do not wait for a reader.
+        """Replace the publishers by publishers that do not wait for a reader.
 
-        The former publishers are kept, because they may still send their stored messages to other
-        readers.
+        Publishers of transient-local topics are not replaced.  The replaced publishers continue to
+        exist, because other readers may still receive the messages that they keep.
         """
         self.report_stalled(topic)
         for stream, sender in list(self._senders.items()):

@@ -1,4 +1,4 @@
-"""Sources of a node on the topic diagnostics: rate, age, jitter, clock and quality of service."""
+"""Diagnostics of a node's sources: rate, age, jitter, clock and quality of service."""
 
 from __future__ import annotations
 
@@ -18,38 +18,40 @@ from capture_sim.nodes.base.endpoints import full_name
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.trial.interlocks import SourceMonitor, TrialLimits
 
-#: A message that is read later than this, s, compared with the quickest one, is a warning.
+#: Lag of the latest message relative to the message with the shortest delay, s, above which a
+#: status is a warning.
 MAX_LAG = 0.5
-#: The quickest one is that of as many publications: a driver may start again with another clock.
+#: Number of publications over which the shortest delay is taken: a driver may restart with another
+#: clock.
 LAG_PERIODS = 60
-#: A trial begins without measurements after this long, s (wall), e.g. where cameras see the cone
-#: alone.
+#: A trial starts without measurements after this time, s (wall), e.g. where cameras see only the
+#: cone.
 SOURCES_TIMEOUT = 3.0
 
 
 @dataclass
 class _Source:
-    """Messages of one topic."""
+    """Statistics of the messages of one topic."""
 
     monitor: SourceMonitor = field(default_factory=SourceMonitor)
-    # since the last publication, and the one before: s (wall)
+    # arrivals since the last publication, and the last arrival before it, s (wall)
     arrivals: list[float] = field(default_factory=list)
-    offsets: list[float] = field(default_factory=list)  # stamp less arrival, s
-    # the largest of each publication: of the message that came quickest
+    offsets: list[float] = field(default_factory=list)  # stamp minus arrival, s
+    # the largest offset between two publications: of the message with the shortest delay
     quickest: deque[float] = field(default_factory=lambda: deque(maxlen=LAG_PERIODS))
 
     @property
     def lag(self) -> float:
-        """By how much the latest message came later than the quickest, s; NaN without stamps."""
+        """Delay of the latest message minus the shortest delay, s; NaN without stamps."""
         if not self.offsets:
             return math.nan
         return max((*self.quickest, *self.offsets)) - self.offsets[-1]
 
 
 class SourceDiagnostics:
-    """Publishes, per second, how the messages of a rig's drivers arrive.
+    """Publishes every second how the messages of a rig's drivers arrive.
 
-    ``further``: returns other statuses of the node, which are published with these.
+    ``further``: returns other statuses of the node, which are published in the same message.
     """
 
     def __init__(
@@ -65,18 +67,17 @@ class SourceDiagnostics:
     def watch(self, *topics: Topic) -> None:
         """Report on these topics from now on, even before their first message.
 
-        The topics are alternatives: a topic without publisher is not reported if another one has a
-        publisher.
+        The topics are alternatives: a topic without publisher is omitted if another has one.
         """
         self._groups.append(topics)
         for topic in topics:
             self._sources.setdefault(topic, _Source())
 
     def add(self, topic: Topic, stamp: int | None = None, values: tuple[float, ...] = ()) -> None:
-        """Note a message of a watched topic; others are ignored.
+        """Note a message of a watched topic; ignore messages of other topics.
 
-        With its stamp, ns by any clock, only a new measurement counts, see
-        :meth:`SourceMonitor.add`.
+        ``stamp``: ns by any clock, None to count every message.  With a stamp, only new
+        measurements count, see :meth:`SourceMonitor.add`.
         """
         source, now = self._sources.get(topic), time.monotonic()
         if source is None:
@@ -87,7 +88,10 @@ class SourceDiagnostics:
             source.arrivals.append(now)
 
     def is_fresh(self, topic: Topic) -> bool:
-        """Return True if a watched topic's last measurement is no older than a release allows."""
+        """Return True if a watched topic's last measurement is recent enough for a release.
+
+        The limit is the default of :attr:`TrialLimits.max_pose_age`.
+        """
         return self._sources[topic].monitor.age(time.monotonic()) <= TrialLimits.max_pose_age
 
     def _publish(self) -> None:
