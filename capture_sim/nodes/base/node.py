@@ -245,7 +245,7 @@ class BenchNode(ParameterNode):
             self.get_logger().error(one_line(text))
 
     def report_rejections(self) -> None:
-        """Log the number of rejected messages of each topic with more than one; reset the counts."""
+        """Log how many messages of each topic were rejected, if more than one; reset the counts."""
         for topic, count in self._rejections.items():
             if count > 1:
                 self.get_logger().warning(f"{topic.name}: {count} messages rejected")
