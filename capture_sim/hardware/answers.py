@@ -13,7 +13,7 @@ from capture_sim.hardware.law import NO_WRENCH, TipState, Wrench
 
 
 class Answer(NamedTuple):
-    """A wrench without the cell's bias, its stamp (s), and where the rig measured its tip."""
+    """A wrench, its stamp (s), and the measured tip; :meth:`Answers.offer` subtracts the bias."""
 
     stamp: float
     wrench: Wrench

@@ -26,7 +26,7 @@ from capture_sim.studies.calibration.trial import sensor_column
 
 #: Gain of chi2 that names a candidate: chance alone gives it once in 100 000 per candidate.
 NAMED = 20.0
-#: A step of a candidate changes chi2 by about one, after one correction beyond these factors.
+#: A step of a candidate changes chi2 by about one; beyond these factors it is corrected (twice).
 _TOO_SMALL, _TOO_LARGE = 0.2, 5.0
 #: Largest decrease of the distance to the end of a range, as a power of e.
 _MOST_DECREASE = 5.0
@@ -211,7 +211,7 @@ def _stop_score(at: Linear, problem: Problem) -> Score | None:
     if columns is None:
         return None
     score = _score(at, problem, "stops", "a stop of the probe", columns, 0.0, 1.0, "1")
-    # the column is a whole stop: a share below nothing or beyond it is none
+    # the column is a complete stop: a small share of it, or a negative one, is none
     if score.estimate < 0.2:
         score = score._replace(gain=0.0)
     return score._replace(

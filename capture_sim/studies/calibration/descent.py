@@ -85,7 +85,7 @@ def descend(
     most: int = _STEPS,
     keep: Callable[[Linear], None] = lambda at: None,
 ) -> EndedSearch | None:
-    """Search for the least chi2 from a place; None if no trial works there."""
+    """Search for the least chi2 from a place; None if a trial cannot be simulated there."""
     known = problem.chi2(place, prior)
     if not known[1]:
         return None
@@ -267,7 +267,7 @@ def _stage_fit(
     rng: np.random.Generator,
     keep: Callable[[Problem, Linear], None],
 ) -> _Stage | None:
-    """Return a fit that begins where a shorter one ended; None if no trial works there."""
+    """Return a fit that starts from the end of a shorter one; None if every start fails."""
     best: _Stage | None = None
     starts = [stage.place]
     if stage.covariance is not None and spare > 0:

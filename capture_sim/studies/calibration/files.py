@@ -112,7 +112,7 @@ def _prediction(prediction: Prediction) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Results of a calibration for other studies: values, covariance, and noise of the sensors."""
+    """Results of a calibration for other studies: values, covariance, and findings."""
 
     path: str
     names: tuple[str, ...]
