@@ -193,7 +193,10 @@ def largest_inside(w, quantity, side):
 
 @kernel
 def keep_maximum(totals, row, slot, value, t):
-    """Keep a value and its time ``t`` (s) if the value is the largest so far."""
+    """Store a value and its time ``t`` (s) as the extreme ``slot`` if it is the largest so far.
+
+    ``row`` is 0 before the latch closes and 1 afterwards.
+    """
     if value > totals.extreme[row, slot]:
         totals.extreme[row, slot] = value
         totals.extreme_time[row, slot] = t
@@ -242,7 +245,10 @@ def rise_inside(w, quantity, side, largest, v_a, d_a, v_b, d_b):
 
 @kernel
 def watch(w, quantity, side, slot, v_a, d_a, v_b, d_b):
-    """Keep a quantity's maximum over a segment, from values and rates at its ends."""
+    """Update the extreme ``slot`` with a quantity's maximum over the ending segment.
+
+    ``v_a``, ``d_a``, ``v_b`` and ``d_b`` are values and rates at the segment's start and end.
+    """
     step, totals, row = w.step, w.totals, w.system.mode.latched
     # a force jumps at an impact, and at a stop with a damper
     keep_maximum(totals, row, slot, v_a, step.t0)
@@ -257,7 +263,10 @@ def watch(w, quantity, side, slot, v_a, d_a, v_b, d_b):
 
 @inline_kernel
 def watch_magnitude(w, quantity, slot, v_a, d_a, v_b, d_b):
-    """Keep the largest magnitude of a quantity over a segment."""
+    """Update the extreme ``slot`` with a quantity's largest magnitude over the ending segment.
+
+    ``v_a``, ``d_a``, ``v_b`` and ``d_b`` are values and rates at the segment's start and end.
+    """
     largest, width = w.totals.extreme[w.system.mode.latched, slot], w.step.x_end * w.step.h
     for side in (-1.0, 1.0):
         if may_exceed(largest, width, side * v_a, d_a, side * v_b, d_b):
@@ -266,7 +275,7 @@ def watch_magnitude(w, quantity, slot, v_a, d_a, v_b, d_b):
 
 @kernel
 def watch_extremes(w):
-    """Keep the extremes of stroke, torsion, tip distance and contact over the ending segment."""
+    """Update the extremes of stroke, torsion, tip distance and contact with the ending segment."""
     start, end = w.step.start, w.step.end
     mode, par = w.system.mode, w.system.par
     a, b = w.stepper.y, w.y_end
@@ -304,7 +313,10 @@ def may_ripple(w, touch, p_b, f_a, f_b):
 
 @kernel
 def watch_touch(w, i):
-    """Keep the peaks of penetration, penetration rate and normal force of wall ``i``."""
+    """Update the peaks of penetration, penetration rate and normal force of wall ``i``.
+
+    They are those of the present touch, over the ending segment.
+    """
     step, stepper, par = w.step, w.stepper, w.system.par
     start, end = step.start, step.end
     side, touch = 1.0 - 2.0 * i, w.system.mode.touch[i]
@@ -387,7 +399,7 @@ def write_loads(loads, y, axial, turning, system):
 
 @kernel
 def watch_loads(w):
-    """Keep the peak forces and torques of buffer and latch over the ending segment."""
+    """Update the peak forces and torques of buffer and latch with the ending segment."""
     step, stepper, system = w.step, w.stepper, w.system
     mode, y_b, f_b, loads = system.mode, w.y_end, stepper.K[stepper.stages], step.loads
     if not step.loads_kept:
@@ -421,7 +433,7 @@ def watch_loads(w):
 
 @kernel
 def watch_latch(w):
-    """Keep the peak force of the latch over the ending segment.
+    """Update the peak force of the latch with the ending segment.
 
     If the segment ends before its step does, :func:`watch_loads` has written
     ``w.scratch.near_end``.
@@ -448,7 +460,10 @@ def watch_latch(w):
 
 @kernel
 def watch_rail(w, y):
-    """Keep the distance to the centre of BE at the end of a rail segment, where it is smallest."""
+    """Update the closest approach with the end of a rail segment, where the distance is smallest.
+
+    The distance is that from the tip's centre to the centre of BE.
+    """
     px, py, wx, wy = tip_in_cone(y, w.system.par)
     distance, _ = distance_to_edge(px, py, wx, wy, w.system.par)
     keep_maximum(w.totals, w.system.mode.latched, TIP_DISTANCE, -distance, w.step.t1)
@@ -456,7 +471,7 @@ def watch_rail(w, y):
 
 @kernel
 def begin_extremes(w):
-    """Set the extremes to the present values: at the release, or when the latch has closed."""
+    """Start a new row of extremes with the present values: at the release, and at the latching."""
     totals, y, row = w.totals, w.stepper.y, w.system.mode.latched
     for slot in range(totals.extreme.shape[1]):
         totals.extreme[row, slot] = 0.0

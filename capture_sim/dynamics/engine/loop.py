@@ -29,7 +29,10 @@ _MAX_RESIDUAL = 0.02
 
 @kernel
 def begin(w):
-    """Set the energy at the release, and the error weights of dissipation below its round-off."""
+    """Store the energy at the release, and prepare error control and extremes for a new run.
+
+    Dissipated energies are not controlled more accurately than the round-off of this energy.
+    """
     totals, weights, s = w.totals, w.stepper.weights, w.sample
     observe(w.step.t0, w.stepper.y, w, s)
     totals.energy_0 = (
@@ -56,9 +59,9 @@ def end_run(w):
 
 @kernel
 def keeps_energy(w):
-    """Return True unless fixed steps were too long for the run: its energy ledger does not close.
+    """Return False if the energies of a run with fixed steps do not balance at its end.
 
-    The sample of the end is left in ``w.sample``.
+    The steps were then too long.  The sample at the end of the run is left in ``w.sample``.
     """
     par, totals, s = w.system.par, w.totals, w.sample
     if par.fixed_step == 0.0:
@@ -70,7 +73,7 @@ def keeps_energy(w):
 
 @kernel
 def sample_at(w, t, sample):
-    """Sample the present segment at ``t``."""
+    """Write the sample of the present segment at the time ``t`` (s) into ``sample``."""
     step, stepper, y = w.step, w.stepper, w.scratch.sampled
     if step.segment == Segment.RAIL:
         rail_state(w, t, y)
@@ -90,10 +93,11 @@ def sample_at(w, t, sample):
 
 @entry_kernel
 def advance(workspaces, times, samples, trace):
-    """Run until all ``times`` (s) are sampled, the run is over, or the call's share is used up.
+    """Run until all ``times`` (s) are sampled, the run has ended, or the call must be repeated.
 
-    ``trace`` receives a sample at the end of each step in contact; an empty one costs nothing.
-    Returns the number of samples written; ``progress.status`` has the Status.
+    It must be repeated (status INTERRUPTED) after 20 000 steps, and if the event log or ``trace``
+    is full.  ``trace`` receives a sample at the end of each step in contact, unless it is empty.
+    Returns the number of samples written into ``samples``; ``progress.status`` has the StepStatus.
     """
     w = workspaces[0]
     step, progress, totals = w.step, w.progress, w.totals
@@ -149,5 +153,5 @@ def advance(workspaces, times, samples, trace):
 
 @entry_kernel
 def evaluate(systems, y, f):
-    """Evaluate the equations of motion once, for benchmarks and other integrators."""
+    """Write the time derivative of the state ``y`` into ``f``, for use by other integrators."""
     rate_of_change(0.0, y, f, systems[0])

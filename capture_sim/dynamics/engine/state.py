@@ -129,7 +129,7 @@ PROGRESS = np.dtype(
     [
         ("begun", "i8"),
         ("done", "i8"),
-        ("status", "i8"),  # of Status
+        ("status", "i8"),  # of StepStatus
         ("t_stop", "f8"),  # of this call: a pause, or the end of the run
         ("t_end", "f8"),  # of the run
         ("events_at_t0", "i8"),  # in a row, without progress
@@ -155,9 +155,9 @@ EVENT = np.dtype(
     align=True,
 )
 
-#: States for use at once: each has one owner, which writes it before it reads it.  The tests put
-#: NaN into all of them between the owners' calls.  All are as long as y, with or without integrals:
-#: for another length the compiler would compile the equations a second time.
+#: Temporary states.  Each belongs to one function, which writes it before it reads it.  The tests
+#: put NaN into all of them between the calls of these functions.  All are as long as y, because for
+#: another length the compiler would compile the equations a second time.
 SCRATCH = np.dtype(
     [
         ("sought", "f8", (N_TOTAL,)),  # events: where an event is sought

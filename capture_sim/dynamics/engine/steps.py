@@ -25,7 +25,7 @@ from capture_sim.dynamics.solver.runge_kutta import (
     make_stepper,
 )
 
-#: Share of the step, for difference quotients along the motion.
+#: Share of the step over which difference quotients along the motion are taken.
 SMALL_MOVE = 1e-4
 try_step, prepare_dense = make_stepper(rate_of_change, N_STATE, N_TOTAL, N_WATCHED)
 
@@ -46,14 +46,17 @@ def entry_inside(w, x, i):
 
 @kernel
 def move_along(y, f, t, first, moved):
-    """Write the state, from entry ``first`` on, after a short time ``t`` (s) into ``moved``."""
+    """Write the state after a short time ``t`` (s) into ``moved``, from entry ``first`` on.
+
+    ``f`` is the time derivative of the state ``y``.
+    """
     for i in range(first, N_STATE):
         moved[i] = y[i] + t * f[i]
 
 
 @kernel
 def make_dense(w):
-    """Prepare the dense output of the present step, once."""
+    """Prepare the dense output of the present step, unless that has been done."""
     if not w.step.dense_ready:
         prepare_dense(w.system, w.stepper, w.step.t0, w.step.h)
         w.step.dense_ready = 1
@@ -72,9 +75,10 @@ def distance_to_edge(px, py, wx, wy, par):
 
 @inline_kernel
 def write_distances(w, px, py, wx, wy):
-    """Write the distances at the end of the present step; a latched tip has none to the walls.
+    """Write the distances of the tip at the end of the present step.
 
-    Without a latch its radius is 0, so its gap is the distance to the centre of BE.
+    They are those to the two walls, infinite for a latched tip, and to the circle around the centre
+    of BE in which the latch closes.  Without a latch the radius of this circle is 0.
     """
     par, end = w.system.par, w.step.end
     gap, rate = end.gap, end.gap_rate
@@ -127,7 +131,7 @@ def advance_distances(step):
 def take_step(w, h):
     """Take an accepted step of at most ``h`` (s) and write the distances at its end.
 
-    Returns the Status.
+    Returns the StepStatus.
     """
     par, step, stepper, totals = w.system.par, w.step, w.stepper, w.totals
     step.dense_ready = 0

@@ -1,8 +1,8 @@
-"""Work of wrenches from outside: on the vehicles, and on the tip.
+"""Work of external wrenches: of thrust on the vehicles, and of a rig's wrench on the tip.
 
-A wrench is held in axes that turn with its vehicle.  Its moment, and its force in the axes at the
-start of a step, do the work of a constant; only what the turn of the axes adds is integrated, over
-the dense output.
+A wrench is constant in axes that turn with its vehicle.  The work of its moment, and of its force
+in the axes at the start of a step, is force times path.  Only the contribution of the axes' turn
+during the step is integrated numerically, over the dense output.
 """
 
 from __future__ import annotations
@@ -25,16 +25,17 @@ _WEIGHTS = (_SMALL, _LARGE, _LARGE, _SMALL)
 
 @kernel
 def work_inside(w, x, y):
-    """Return the work since the start of the step up to its fraction ``x``, where the state is.
+    """Return the work of external wrenches from the start of the step to its fraction ``x``, J.
 
-    Of thrust, and of the wrench on the tip and its reaction on the target; J.
+    The wrenches are the thrust, and the wrench on the tip with its reaction on the target.  ``y``
+    is the state at ``x``.
     """
     par, mode, a = w.system.par, w.system.mode, w.stepper.y
     work = 0.0
     if mode.driven and not mode.latched:
         px_a, py_a, _, _ = tip_in_cone(a, par)
         px, py, _, _ = tip_in_cone(y, par)
-        # against the target's material: exact, as its axes are those of the wrench
+        # exact: the force is constant in the target's axes, in which the path is measured
         work += mode.wrench[0] * (px - px_a) + mode.wrench[1] * (py - py_a)
         work += mode.wrench[2] * (y[3] - y[7] - a[3] + a[7])
     if mode.thrusting:
@@ -45,7 +46,7 @@ def work_inside(w, x, y):
 
 @kernel
 def work_on(w, x, y, vehicle):
-    """Return the work of thrust on a vehicle (0 chaser, 1 target), as :func:`work_inside`, J."""
+    """Return the work of thrust on a vehicle (0 chaser, 1 target), J; see :func:`work_inside`."""
     a, thrust = w.stepper.y, w.system.mode.thrust
     first, heading = (0, 2) if vehicle == 0 else (5, 7)
     fx, fy = thrust[3 * vehicle], thrust[3 * vehicle + 1]

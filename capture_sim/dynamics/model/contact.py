@@ -2,8 +2,9 @@ r"""Contact of the tip with a wall: normal force with hysteresis damping, and Co
 
     F = f(delta) (1 + a delta' / v_0),   never below 0
 
-The elastic force f is K delta^p, or a measured curve; a record of CONTACT has it.  Only this module
-reads that record: others call its force, rate of the force, slope, energy and expected depth.
+The elastic force f is K delta^p or a measured curve, stored in a record of dtype CONTACT.  Only
+this module reads that record.  Other modules call its functions for force, rate of the force,
+slope, energy and expected depth.
 
 ``a`` is the hysteresis factor of the contact law (:mod:`capture_sim.scene.laws`); chi = a K / v_0.
 
@@ -74,13 +75,16 @@ def measured_law(points: tuple[tuple[float, float], ...]) -> np.ndarray:
 
 @inline_kernel
 def acts(contact):
-    """Return True unless the walls are switched off."""
+    """Return True if the walls act, i.e. unless a scene has switched them off (stiffness 0)."""
     return contact.stiffness > 0.0
 
 
 @kernel
 def _other_shape(depth, contact):
-    """Return the elastic force per stiffness of a contact unlike Hertz's, at a depth above 0."""
+    """Return the elastic force divided by the stiffness, of a contact law other than Hertz's.
+
+    ``depth`` is above 0.
+    """
     if contact.table.count:
         force, _, _ = tabulated_spring(depth, contact.table)
         return force
@@ -89,7 +93,7 @@ def _other_shape(depth, contact):
 
 @inline_kernel
 def shape_at(depth, contact):
-    """Return the elastic force per stiffness, for a depth above 0."""
+    """Return the elastic force divided by the stiffness, at a ``depth`` above 0."""
     if contact.exponent == HERTZ:
         return depth * math.sqrt(depth)  # a fifth of the cost of a power
     return _other_shape(depth, contact)
@@ -99,9 +103,9 @@ def shape_at(depth, contact):
 def normal_force(penetration, rate, chi, contact):
     """Return the normal force and its elastic part, N.
 
-    ``penetration`` delta, m; ``rate`` delta', m/s; ``chi``, the damping per shape, of
-    :func:`damping_of_touch`.  With Hertz's exponent, Lankarani and Nikravesh (1990), eq. (1); it
-    never pulls.
+    ``penetration`` is delta (m) and ``rate`` delta' (m/s).  ``chi`` is the result of
+    :func:`damping_of_touch`.  With Hertz's exponent the force is that of Lankarani and Nikravesh
+    (1990), eq. (1), but it never pulls.
     """
     if penetration <= 0.0:
         return 0.0, 0.0
@@ -139,7 +143,7 @@ def contact_slope(depth, chi, contact):
 
 @inline_kernel
 def elastic_contact_energy(gap, contact):
-    """Return the elastic energy of a contact, J, of a depth -gap."""
+    """Return the elastic energy of a contact at a depth of ``-gap``, J; 0 for a positive gap."""
     if gap >= 0.0:
         return 0.0
     if contact.table.count:
@@ -159,15 +163,18 @@ def expected_depth(mass, speed, contact):
 
 @inline_kernel
 def damping_of_touch(a, speed, contact):
-    """Return ``chi`` of a touch with the hysteresis factor ``a`` at an approach speed (m/s)."""
+    """Return the damping factor chi = a K / v_0 of a touch.
+
+    ``a`` is the hysteresis factor of the contact law and ``speed`` is the approach speed v_0, m/s.
+    """
     return a * contact.stiffness / speed
 
 
 @inline_kernel
 def friction_coefficient(x, mu, mu_s, law):
-    """Return friction force per normal force, with the sign of the slip.
+    """Return friction force divided by normal force, with the sign of the slip.
 
-    For the regularised laws; ``x`` is the slip over v_eps.
+    ``law`` is one of the regularised friction laws; ``x`` is the slip speed divided by v_eps.
     """
     if law == FrictionLaw.BROWN_MCPHEE:
         shape = 0.25 * x * x + 0.75

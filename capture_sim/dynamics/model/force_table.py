@@ -1,10 +1,10 @@
-r"""Force that was measured, of an axial spring or a wall: a monotone cubic through its points.
+r"""Measured force curve of an axial spring or a wall: a monotone cubic through its points.
 
 Between two points the force is the cubic of Fritsch and Carlson (1980) with the slopes of Fritsch
 and Butland (1984), as SciPy's ``PchipInterpolator`` computes them: it rises where the points rise,
 and its slope is continuous.  Beyond the last point it continues along its slope there.  The energy
 is the integral of the cubics, in closed form.  At a point that is listed twice the curve has a
-kink: the cubics on both sides do not know each other.
+kink, because the cubics on both sides are then computed separately.
 
 Without a preload a spring also acts outwards, with the mirrored curve F(-s) = -F(s).
 """
@@ -43,7 +43,8 @@ FORCE_TABLE = np.dtype(
 def force_table(points: tuple[tuple[float, float], ...], *, is_spring: bool = True) -> np.ndarray:
     """Return the (1,) record of a table of strokes (m, rising from 0) and forces (N).
 
-    A spring's forces are those above its force at rest, and its curve may be mirrored.
+    For a spring, the record has the forces minus the force at rest (the preload).  Without a
+    preload its curve is mirrored, so that the slope at rest is that of the mirrored curve.
     """
     strokes, forces = np.array(points).T
     above = forces - forces[0] if is_spring else forces
@@ -73,7 +74,7 @@ def force_table(points: tuple[tuple[float, float], ...], *, is_spring: bool = Tr
 def _cubics(
     strokes: np.ndarray, above: np.ndarray, is_mirrored: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return twist, bend and slope at the start of each interval between points."""
+    """Return the coefficients of the cubic in each interval: cubic, quadratic, linear, (n - 1,)."""
     # imported here: only scenes with a table need it
     from scipy.interpolate import PchipInterpolator
 
@@ -118,7 +119,7 @@ def tabulated_spring(stroke, table):
 
 @kernel
 def tabulated_depth(energy, table):
-    """Return the stroke (m, above 0) at which a table has stored an energy (J)."""
+    """Return the stroke (m, above 0) at which the tabulated spring has stored an energy (J)."""
     k = table.count - 1
     while k > 0 and table.energy[k] > energy:
         k -= 1

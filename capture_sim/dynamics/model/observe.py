@@ -1,4 +1,4 @@
-"""Samples: strokes, forces and the energy ledger from the state."""
+"""Samples of a run: strokes, forces and the energy balance, computed from the state."""
 
 from __future__ import annotations
 
@@ -69,10 +69,10 @@ def mechanical_energy(y, system):
 
 @kernel
 def observe(t, y, w, sample):
-    """Fill one record of dtype SAMPLE for the state ``y`` at ``t``.
+    """Fill one record of dtype SAMPLE for the state ``y`` at the time ``t`` (s).
 
     ``w`` is a record of dtype :data:`capture_sim.dynamics.engine.state.WORKSPACE`.  The work of
-    wrenches from outside is that up to the start of the step.
+    external wrenches is only that up to the start of the step; the caller adds the rest.
     """
     system, rail, totals = w.system, w.rail, w.totals
     par, mode, out = system.par, system.mode, system.out

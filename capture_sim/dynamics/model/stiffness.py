@@ -10,7 +10,7 @@ from capture_sim.base.compiled.kernels import plain
 from capture_sim.dynamics.model.contact import contact_slope
 
 _contact_slope = plain(contact_slope)
-#: What a contact's stiffness follows from, in the order of their precedence.
+#: Fields that a contact's stiffness is computed from; only one of these texts is printed.
 _TABLE, _GIVEN, _MATERIALS = (
     "contact.force_table",
     "contact.stiffness",
@@ -28,10 +28,11 @@ def stiffest_part(
 ) -> tuple[str, float] | None:
     """Return the part with the shortest time constant, its fields in parentheses, and that time, s.
 
-    None without springs and dampers.  A spring k at a mass m has sqrt(m / k), a damper c has m / c;
-    steps of an explicit method cannot be much longer.  ``penetration`` (m), ``chi`` (N s/m^2.5) and
-    ``force`` (N) are those of the contact; without the state ``y`` the buffer is at rest.
-    ``given_stiffness`` is True where the scene has ``contact.stiffness``.
+    Returns None if there are no springs and dampers.  The time constant of a spring k with a mass m
+    is sqrt(m / k), that of a damper c is m / c.  Steps of an explicit method cannot be much longer.
+    ``penetration`` (m), ``chi`` (N s/m^(exponent + 1)) and ``force`` (N) are those of the contact.
+    Without the state ``y`` the buffer is at rest.  ``given_stiffness`` is True if the scene sets
+    ``contact.stiffness``; it only selects the field that is named.
     """
     stroke = rate = torsion = twist = 0.0
     if y is not None:

@@ -49,9 +49,9 @@ def rolling_wrench(
 
 @inline_kernel
 def resistance_of_each(ux, uy, omega, balls, v_eps):
-    """Return the total force x, y (N) and torque (N m) of the balls, in the vehicle's frame.
+    """Return the force x, y (N) and torque (N m) that the balls exert on the floor.
 
-    The sign is that of the motion; the resistance is the opposite.
+    Velocity and force are in the vehicle's frame.  The resistance on the vehicle is the opposite.
     """
     fx = 0.0
     fy = 0.0
@@ -94,7 +94,10 @@ def resistance(code: Any, ux: Any, uy: Any, omega: Any, balls: Any, v_eps: Any) 
 def fastest_ball(
     vx: float, vy: float, omega: float, c: float, s: float, balls: np.ndarray
 ) -> float:
-    """Return the speed of the fastest ball, m/s."""
+    """Return the speed over the floor of the fastest of a vehicle's three balls, m/s.
+
+    ``c`` and ``s`` are cosine and sine of the vehicle's heading.
+    """
     fastest = 0.0
     for i in range(3):
         rx = c * balls[0, i] - s * balls[1, i]
@@ -109,7 +112,10 @@ def fastest_ball(
 def is_held(
     fx: float, fy: float, torque: float, c: float, s: float, balls: np.ndarray, share: float
 ) -> bool:
-    """Return True if the supports hold a wrench with at most ``share`` of their limit."""
+    """Return True if the supports can balance a wrench with at most ``share`` of their limit.
+
+    The force (N) is in the world's axes; ``c`` and ``s`` are cosine and sine of the heading.
+    """
     if is_easily_held(fx, fy, torque, c, s, balls, share):
         return True
     return load_factor(fx, fy, torque, c, s, balls, share) <= share

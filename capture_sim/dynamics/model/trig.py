@@ -1,11 +1,10 @@
 """Sine and cosine of one angle together, and the hyperbolic tangent, inlined into the kernels.
 
-For sine and cosine the argument is reduced to a quarter turn by Cody and Waite's method, where
-it is not small enough as it is, and put into the minimax polynomials of fdlibm (Sun
-Microsystems, 1993: k_sin.c, k_cos.c), which are good to less than one unit in the last place;
-calls to the C library would cost more than the rest of a free-flight evaluation.  The
-hyperbolic tangent is a Pade approximant near zero and 1 - 2 / (exp(2x) + 1) beyond, good to
-four units in the last place.
+For sine and cosine, an angle above an eighth of a turn is first reduced by the method of Cody and
+Waite.  The minimax polynomials of fdlibm (Sun Microsystems, 1993: k_sin.c, k_cos.c) then have an
+error of less than one unit in the last place.  Calls to the C library would cost more than the rest
+of an evaluation in free flight.  The hyperbolic tangent is a Pade approximant near zero and
+1 - 2 / (exp(2x) + 1) beyond; its error is at most four units in the last place.
 """
 
 from __future__ import annotations
