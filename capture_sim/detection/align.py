@@ -1,7 +1,7 @@
 """Measurements of several sources interpolated to common instants.
 
-The statuses are evaluated at the chaser's stamps; the other sources are interpolated to these
-instants.
+The instants are the stamps of the chaser's poses.  The poses of the target and the measurements of
+the buffer are interpolated to these instants.
 """
 
 from __future__ import annotations
@@ -14,14 +14,19 @@ from typing import NamedTuple
 
 from capture_sim.detection.measurements import Counts, Reason, Source, Values
 
-#: Number of measurements of a source that are kept.
+#: Smallest number of measurements of a source that stay in memory.
 _N_KEPT = 5000
-#: A source whose first stamp is later than an instant by this has another clock, s.
+#: If the first stamp of a source is later than an instant by more than this, s, the cause is taken
+#: to be a difference of clocks.
 _MAX_LEAD = 2.0
 
 
 class Observation(NamedTuple):
-    """Consistent measurements of all sources at one instant; keys are values of `Source`."""
+    """Measurements of all sources at one instant.
+
+    ``t`` is in s.  The other fields are named like the members of :class:`Source`, which lists
+    their values.
+    """
 
     t: float
     chaser: Values
@@ -30,12 +35,12 @@ class Observation(NamedTuple):
 
     @property
     def has_rates(self) -> bool:
-        """True if every source gives rates; they are used only in the absence of noise."""
+        """True if the measurements of all sources have rates, which are used only without noise."""
         return (len(self.chaser), len(self.target), len(self.buffer)) == (6, 6, 4)
 
 
 class _Track:
-    """The latest measurements of a source, in order."""
+    """The latest measurements of a source in the order of time."""
 
     def __init__(self, *, is_pose: bool) -> None:
         self.times: list[float] = []
@@ -53,7 +58,11 @@ class _Track:
             del self.times[:_N_KEPT], self.values[:_N_KEPT]
 
     def interpolate(self, t: float, max_gap: float) -> Values | None:
-        """Return the values at a time, or None if the neighbours are further apart than a gap."""
+        """Return the values at a time, s, interpolated between the neighbouring measurements.
+
+        None if the time is before the first or after the last measurement, or if the neighbours are
+        more than ``max_gap`` (s) apart.  Rates are left out if only one neighbour has them.
+        """
         after = bisect_left(self.times, t)
         if after < len(self.times) and self.times[after] == t:
             return self.values[after]
@@ -74,10 +83,11 @@ class _Track:
 
 
 class Aligner:
-    """Combines the measurements of one instant.
+    """Combines the measurements of all sources at the instants of the chaser's poses.
 
-    An observation is returned as soon as target and buffer have a measurement of its time or of a
-    later one.  An instant in a gap of a source longer than ``max_gap``, s, is left out.
+    An instant is complete as soon as target and buffer have measurements at its time or later.  An
+    instant in a gap of target or buffer that is longer than ``max_gap``, s, gives no observation;
+    it is counted as rejected in ``counts``.
     """
 
     def __init__(self, max_gap: float, counts: Counts) -> None:
@@ -86,22 +96,22 @@ class Aligner:
         self._waiting: deque[tuple[float, Values]] = deque()
 
     def add(self, source: Source, t: float, values: Values) -> None:
-        """Add a measurement of a time, s; times of each source must increase."""
+        """Add a measurement of a source at time ``t``, s; times of each source must increase."""
         if source is Source.CHASER:
             self._waiting.append((t, values))
         else:
             self._tracks[source].add(t, values)
 
     def values_between(self, source: Source, begin: float, end: float) -> list[Values]:
-        """Return a source's measurements between two times, s, both excluded."""
+        """Return the values of target or buffer measured between two times, s, both excluded."""
         track = self._tracks[source]
         return track.values[bisect_right(track.times, begin) : bisect_left(track.times, end)]
 
     def complete(self, decided: Mapping[Source, float] | None) -> list[Observation]:
-        """Return the observations that are complete.
+        """Return the observations that have become complete, in the order of time.
 
-        ``decided``: time up to which no other measurement of a source will come, s; None at the
-        end.
+        ``decided`` has the time, s, up to which all measurements of target and buffer have been
+        added.  With None, at the end of the run, no further measurements are waited for.
         """
         observations: list[Observation] = []
         waiting, tracks = self._waiting, self._tracks

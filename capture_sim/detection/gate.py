@@ -1,16 +1,18 @@
-"""The gate: poses that a vehicle cannot have had are held back, and rejected.
+"""The gate: a filter that rejects poses which a vehicle cannot have had, e.g. of swapped markers.
 
-A pose must agree with the path before it: with the pose before, moved at the present velocity, up
-to the largest change of velocity times the time, and to the noise of both.  An impact changes the
-velocity at once (in 0.3 ms, less than the time between two frames), so the largest acceleration
-limits nothing; an impact never changes a position at once, so a bounce always passes.  The limit
-is that of a validation gate around the prediction of a constant-velocity filter (Bar-Shalom et al.,
-Estimation with Applications to Tracking and Navigation, 2001), widened by the impact.
+A new pose must agree with a prediction, the last accepted pose moved at the present velocity.  The
+tolerance is the largest change of velocity by an impact times the elapsed time, plus the noise of
+both poses.  An acceleration limit would be useless, because an impact changes the velocity within
+0.3 ms, less than the time between two frames.  An impact never changes a position at once, so the
+poses of a bounce are accepted.  This is the validation gate of a constant-velocity filter
+(Bar-Shalom et al., Estimation with Applications to Tracking and Navigation, 2001), widened for
+impacts.
 
-Poses outside are held back until later ones show which are the vehicle's: the longest consistent
-subsequence, for the model of bounded speed and unbounded acceleration (Custers et al., Maximum
-Physically Consistent Trajectories, ACM Trans. Spatial Algorithms Syst. 7(4), 2021).  Its elements
-are runs of successive poses that agree with each other, as wrong frames come in runs.
+Poses outside the tolerance are held back until later poses show which of them are the vehicle's.
+The choice follows the longest consistent subsequence for bounded speed and unbounded acceleration
+(Custers et al., Maximum Physically Consistent Trajectories, ACM Trans. Spatial Algorithms Syst.
+7(4), 2021).  Wrong frames come in sequences, so the elements of the subsequence are not single
+poses, but sequences of successive poses that agree with each other.
 """
 
 from __future__ import annotations
@@ -24,44 +26,46 @@ from capture_sim.detection.noise import NoiseEstimate, Resolution, third_differe
 from capture_sim.scene.launch_plan import plan_launch
 from capture_sim.scene.parts import Scene
 
-#: Largest innovation in standard deviations.
+#: Largest difference of a pose from its prediction that noise explains, in standard deviations.
 GATE = 5.0
-#: The limits are those of the largest relative speed, by plan or at present, times this.
+#: Safety factor on the largest relative speed, planned or present, from which the limits follow.
 MARGIN = 2.0
-#: Least relative speed, m/s: vehicles at rest may be pushed by hand.
+#: Smallest relative speed assumed, m/s, because vehicles at rest may be pushed by hand.
 MIN_SPEED = 0.05
-#: Smaller innovations (m, rad) are no outliers: steps of quantised poses, delays of stamps.
+#: Smaller differences from the prediction (m, rad) are always accepted, because steps of quantised
+#: poses and delays of stamps cause them.
 LEAST = (2e-3, 5e-3)
-#: A jump that stays for longer than this is a new place of the vehicle, s.
+#: If poses agree at a new place for longer than this, s, the vehicle has moved there.
 JUMP_TIME = 0.3
-#: Poses that contradict each other are held back no longer than this, s.
+#: Longest time for which poses that contradict each other are held back, s.
 _MAX_HOLD = 1.0
-#: Number of consistent poses that confirm a return to the path, and its begin.
+#: Number of consistent poses that confirm a return to the path, and the beginning of a path.
 _CONFIRM, _START = 3, 6
-#: The tolerance of a single pose grows with the time since the last one only up to this, or the
-#: source's interval, s: later the pose is far.
+#: The tolerance for a single pose grows with the time since the last pose only up to this time, s,
+#: or up to the source's interval if that is longer.  A pose within this tolerance is near.
 _NEAR_TIME = 0.02
-#: A shift that a contact explains within this many poses is no jump: wrong frames near a contact
-#: may agree with it.
+#: A new place that agrees with one of the last accepted poses, this number of them, is no jump.  A
+#: contact explains the shift, as wrong frames near a contact may have been accepted.
 _SLIPPED = 6
-#: Time over which the present velocity is taken, s.
+#: Time over which the present velocity is averaged, s.
 _VELOCITY_TIME = 0.1
-#: Least noise (m, rad) of a source that never repeats a pose by chance.
+#: Noise (m, m, rad) above which a source never repeats a pose by chance.
 _MIN_NOISE = (5e-6, 5e-6, 2e-5)
-#: Number of third differences for the noise: short, as stamps with errors add noise in motion only.
+#: Number of third differences for the noise.  It is small, because errors of stamps add noise only
+#: while the vehicle moves.
 _N_NOISE = 60
 _SQRT2 = math.sqrt(2.0)
 
 
 class PoseLimits(NamedTuple):
-    """Largest changes of a vehicle's motion by contacts, for a relative speed of 1 m/s."""
+    """Largest changes of a vehicle's velocity and spin by contacts, per m/s of relative speed."""
 
     velocity: float  # m/s
     spin: float  # rad/s
 
     @classmethod
     def of(cls, scene: Scene, source: Source) -> PoseLimits:
-        """Return the largest changes of a vehicle's velocity and spin, per relative speed.
+        """Return the limits of a vehicle, the chaser or the target of a scene.
 
         In the frame of the common centre of mass, a contact can only turn the velocities or make
         them smaller.  The energy of a spin is at most that of the relative motion.
@@ -74,7 +78,10 @@ class PoseLimits(NamedTuple):
 
 
 def largest_speed(scene: Scene) -> float:
-    """Return the largest relative speed of the vehicles in a scene, m/s, by plan."""
+    """Return the largest relative speed of the vehicles that a scene plans, m/s.
+
+    It follows from the initial motion and the launch plan, and is at least :data:`MIN_SPEED`.
+    """
     chaser, target, plan = scene.initial.chaser, scene.initial.target, plan_launch(scene)
     relative = math.hypot(chaser.vx - target.vx, chaser.vy - target.vy)
     spins = abs(chaser.omega) * (scene.buffer.hinge_offset + scene.rest_length)
@@ -83,27 +90,31 @@ def largest_speed(scene: Scene) -> float:
 
 
 class Pose(NamedTuple):
-    """Pose of a vehicle, a :class:`Source`, at a time, s."""
+    """Pose of a vehicle at a time ``t``, s; its values are those of :class:`Source`."""
 
     t: float
     values: Values
 
 
 class _Run:
-    """Successive poses that are consistent with each other."""
+    """Sequence of successive poses that are consistent with each other.
+
+    ``is_reachable`` is True if the vehicle can have moved to the first of them from the last
+    accepted pose.  ``is_far`` is True if only the time since that pose makes this possible.
+    """
 
     def __init__(self, first: Pose, *, is_reachable: bool, is_far: bool) -> None:
         self.poses = [first]
-        self.is_reachable = is_reachable  # from the last pose that was accepted
+        self.is_reachable = is_reachable
         self.is_far = is_far
 
     @property
     def is_confirmed(self) -> bool:
-        """True if the vehicle has returned to its path.
+        """True if there are enough reachable poses to conclude that they are the vehicle's.
 
-        Wrong frames often follow lost ones.  After lost frames the vehicle may be as far away as a
-        wrong frame.  A pose that agrees only because of that needs as many poses to confirm it as
-        at the start.
+        Wrong frames often follow lost frames.  After a longer loss the vehicle may have moved as
+        far as the distance of a wrong frame.  Poses that are reachable only because of this long
+        time are confirmed by as many poses as the beginning of a path.
         """
         return self.is_reachable and len(self.poses) >= (_START if self.is_far else _CONFIRM)
 
@@ -113,17 +124,20 @@ class _Run:
 
 
 class Jump(NamedTuple):
-    """A vehicle that is at a new place from a time on, s, at a distance, m."""
+    """Jump of a vehicle to a new place: time of its first pose there, s, and distance, m."""
 
     t: float
     distance: float
 
 
 class Gate:
-    """Passes on the poses of one vehicle that it can have had, in the order of their stamps."""
+    """Filter of the poses of one vehicle, which passes on the poses that it can have had.
+
+    Poses are added and passed on in the order of their stamps.
+    """
 
     def __init__(self, source: Source, limits: PoseLimits, counts: Counts) -> None:
-        #: The last jump that stayed.
+        #: The last jump after which the vehicle stayed at its new place; None if there was none.
         self.jump: Jump | None = None
         #: Time up to which every pose is passed on or rejected, s.
         self.decided = -math.inf
@@ -132,24 +146,24 @@ class Gate:
         self._source, self._limits, self._counts = source, limits, counts
         self._noise = tuple(NoiseEstimate(_N_NOISE) for _ in range(3))
         self._steps = tuple(Resolution() for _ in range(3))
-        self._raw: deque[Pose] = deque(maxlen=4)  # that are not frozen
-        self._repeated = 0  # times that a noisy source has repeated its last pose
-        self._early: list[Pose] = []  # before the noise is known
+        self._raw: deque[Pose] = deque(maxlen=4)  # the last poses that are not frozen
+        self._repeated = 0  # number of times that a noisy source has repeated its last pose
+        self._early: list[Pose] = []  # poses before the noise is known
         self._held: list[_Run] = []
-        self._last: Pose | None = None  # that was passed on
+        self._last: Pose | None = None  # the last pose that was passed on
         self._recent: deque[Pose] = deque()
         self._speed = 0.0  # m/s, largest relative speed
 
     @property
     def resolution(self) -> tuple[float, float]:
-        """Steps of a quantised position, m, and heading, rad; 0 without."""
+        """Steps of a quantised position, m, and heading, rad; 0 if they are not quantised."""
         x, y, theta = (step.value for step in self._steps)
         return max(x, y), theta
 
     def add(self, t: float, values: Values, speed: float) -> list[Pose]:
-        """Add a pose; return the poses that are passed on.
+        """Add a pose at time ``t``, s; return the poses that can be passed on now, in order.
 
-        ``speed``: relative speed of the vehicles that an impact may have, m/s.
+        ``speed`` is the largest relative speed of the vehicles that an impact may have now, m/s.
         """
         pose = Pose(t, values)
         self._speed = MARGIN * speed
@@ -168,7 +182,7 @@ class Gate:
         return passed
 
     def finish(self) -> list[Pose]:
-        """Return the poses that are still held back, where they can be the vehicle's."""
+        """Return the poses still held back that can be the vehicle's, and reject the others."""
         if not self._noise[0].known:
             passed, self._early = self._early, []
             return passed
@@ -180,9 +194,9 @@ class Gate:
         return self._choose(reachable[-1] if reachable else None)
 
     def _is_frozen(self, pose: Pose) -> bool:
-        """Return True if a source repeats a pose though its noise is above its resolution.
+        """Return True if a pose repeats the last pose although the source's noise prevents this.
 
-        One repetition may be chance.
+        The noise does so if it exceeds the resolution.  A first repetition may be chance.
         """
         if not self._raw or self._raw[-1].values[:3] != pose.values[:3]:
             self._repeated = 0
@@ -195,7 +209,10 @@ class Gate:
         return self._repeated > 1
 
     def _learn(self, pose: Pose) -> None:
-        """Update noise and resolution: of all poses, as one that is rejected is a few of many."""
+        """Update the estimates of noise and resolution with a pose.
+
+        Poses that are rejected later also count, because they are too few to matter.
+        """
         if self._raw:
             for step, a, b in zip(self._steps, pose.values, self._raw[-1].values, strict=False):
                 step.add(a - b)
@@ -243,7 +260,7 @@ class Gate:
         return []
 
     def _innovation(self, a: Pose, b: Pose) -> tuple[float, float]:
-        """Return by how much a pose differs from the prediction of another one, m and rad."""
+        """Return the difference of pose ``b`` from its prediction from pose ``a``, m and rad."""
         dt = b.t - a.t
         x, y, theta = (
             new - old - rate * dt
@@ -252,23 +269,23 @@ class Gate:
         return math.hypot(x, y), abs(math.remainder(theta, math.tau))
 
     def _is_nearer(self, pose: Pose, a: Pose, b: Pose) -> bool:
-        """Return True if a pose agrees better with the pose ``a`` than with ``b``."""
+        """Return True if a pose is nearer to the prediction from pose ``a`` than from ``b``."""
         arm = 1.0 / max(self._limits.spin, 1e-3)  # m, to compare angles with lengths
         of_a, of_b = self._innovation(a, pose), self._innovation(b, pose)
         return of_a[0] + arm * of_a[1] < of_b[0] + arm * of_b[1]
 
     @property
     def _near_time(self) -> float:
-        """Time over which a single pose may differ from its prediction by an impact, s."""
+        """Longest time for which the tolerance for a single pose grows, s; see ``_NEAR_TIME``."""
         recent = self._recent
         if len(recent) < 2:
             return _NEAR_TIME
         return max(_NEAR_TIME, (recent[-1].t - recent[0].t) / (len(recent) - 1))
 
     def _agrees(self, a: Pose, b: Pose, longest: float = math.inf) -> bool:
-        """Return True if a vehicle can move from one pose to the other.
+        """Return True if the vehicle can move from pose ``a`` to the later pose ``b``.
 
-        ``longest``: the tolerance grows with the time between them only up to this, s.
+        The tolerance for an impact grows with the time between them, up to ``longest``, s.
         """
         distance, turn = self._innovation(a, b)
         change = self._speed * min(b.t - a.t, longest)
@@ -290,7 +307,11 @@ class Gate:
             self.velocity = ((x - x0) / dt, (y - y0) / dt, turn / dt)
 
     def _choose(self, chosen: _Run | None) -> list[Pose]:
-        """Pass on a run and every earlier run from which it can be reached; reject the others."""
+        """Return the poses of the chosen sequence and of those on the way to it; reject the others.
+
+        A sequence is on the way if it is reachable and the chosen one can be reached from it.  With
+        None all poses that are held back are rejected.
+        """
         passed: list[Pose] = []
         for run in self._held:
             is_between = (

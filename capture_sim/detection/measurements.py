@@ -1,8 +1,8 @@
 """Measurements of several sources, put into the order of their stamps.
 
 On a real bench each source has its own clock, rate and delay, and messages get lost and overtake
-each other.  The :class:`Sequencer` is the detector's border: behind it, everything is a function
-of stamps and values, never of arrival.
+each other.  The :class:`Sequencer` is therefore the first step of the detector.  All later steps
+depend only on stamps and values, never on times of arrival.
 """
 
 from __future__ import annotations
@@ -15,22 +15,23 @@ from typing import NamedTuple
 
 Values = tuple[float, ...]
 
-#: A stamp that is later than the next ones of its source by more than this is rejected, ns.
+#: A stamp is rejected if it is later than the following stamps of its source by more than this, ns.
 MAX_LEAD = 2_000_000_000
-#: A message may be overtaken by messages of its source that are stamped later by this, ns.
+#: A message is accepted although messages of its source overtook it, if they are later by at most
+#: this, ns.
 REORDER = 100_000_000
-#: Measurements wait for a silent source until another one has sent this much more, ns.
+#: Measurements of a source wait for a silent source only until they span more than this, ns.
 MAX_WAIT = 60_000_000_000
-#: Share of a source's measurements that is reported with its likely cause if it was rejected.
+#: If more than this share of a source's measurements is rejected, the likely cause is reported.
 WARN_SHARE = 0.01
 
 
 class Source(Enum):
     """A source of measurements.
 
-    Its values are, in this order: of a pose x, y (m), theta (rad) and, where the source
-    gives them, their rates in the world; of the buffer stroke (m), torsion (rad) and,
-    likewise, their rates.  Rates that are not finite are missing rates.
+    A measurement of the chaser or the target has the values x, y (m) and theta (rad) in the world,
+    that of the buffer stroke (m) and torsion (rad).  Their rates follow in the same order if the
+    source measures them.  If a rate is not finite, all rates count as missing.
     """
 
     CHASER = "chaser"
@@ -41,12 +42,12 @@ class Source(Enum):
 
     @property
     def size(self) -> int:
-        """Number of values without the rates."""
+        """Number of values of a measurement without the rates: 3 for a pose, 2 for the buffer."""
         return 2 if self is Source.BUFFER else 3
 
 
 class Reason(Enum):
-    """Why a measurement is not used; the value is its word in tables."""
+    """Reason why a measurement is not used; the member's value is the word for it in tables."""
 
     OUTLIER = "outlier"
     FROZEN = "frozen"
@@ -56,7 +57,7 @@ class Reason(Enum):
     GAP = "gap"
 
 
-#: What an operator should look for.
+#: Likely cause of each reason, for the operator.
 _LIKELY_CAUSES = {
     Reason.OUTLIER: "likely swapped or hidden markers",
     Reason.FROZEN: "likely lost tracking, with a driver that repeats its last pose",
@@ -68,7 +69,7 @@ _LIKELY_CAUSES = {
 
 
 class Measurement(NamedTuple):
-    """Values of one source, see :class:`Source`, with their stamp, ns."""
+    """A measurement: its stamp, ns, its source, and its values as listed at :class:`Source`."""
 
     stamp: int
     source: Source
@@ -76,39 +77,39 @@ class Measurement(NamedTuple):
 
 
 class Counts:
-    """Numbers of measurements that were received, and of rejected measurements.
+    """Numbers of received measurements by source, and of rejected ones by source and reason.
 
-    A measurement that is missing at an instant of the chaser's counts as a gap of its source.
-    Numbers that were received are not known of a recorded status.
+    If target or buffer have no measurement at the instant of a chaser's pose, this counts as a
+    rejection with the reason ``GAP``.  For counts from a recorded status, ``received`` is empty.
     """
 
     def __init__(self) -> None:
         self.received: Counter[Source] = Counter()
         self.rejected: Counter[tuple[Source, Reason]] = Counter()
-        #: Number of changes of :attr:`rejected`.
+        #: Number of calls of :meth:`reject`, to notice changes.
         self.n_changes = 0
 
     def reject(self, source: Source, reason: Reason, number: int = 1) -> None:
-        """Count measurements that are not used."""
+        """Count ``number`` measurements of a source that are not used."""
         self.rejected[source, reason] += number
         self.n_changes += 1
 
     def of(self, source: Source) -> int:
-        """Return how many measurements of a source were not used."""
+        """Return the number of measurements of a source that were not used, for any reason."""
         return sum(self.rejected[source, reason] for reason in Reason)
 
     @property
     def text(self) -> str:
-        """The counts that are not zero; empty without.
+        """Text with all rejections, e.g. ``chaser: 3 outlier, 1 late of 1200``; '' without any.
 
-        E.g. ``chaser: 3 outlier, 1 late of 1200``.  The likely cause follows if more than
-        :data:`WARN_SHARE` of a source's measurements were not used.
+        The likely cause is added if more than :data:`WARN_SHARE` of a source's measurements were
+        not used.
         """
         return "; ".join(map(self._line, filter(self.of, Source)))
 
     @property
     def warnings(self) -> list[str]:
-        """A line for each source of which more than :data:`WARN_SHARE` was not used."""
+        """A line for each source with more than :data:`WARN_SHARE` of its measurements not used."""
         return [self._line(source) for source in Source if self._is_large(source)]
 
     def _is_large(self, source: Source) -> bool:
@@ -125,12 +126,12 @@ class Counts:
 
 
 class Sequencer:
-    """Merges the sources into one sequence in the order of stamps.
+    """Merges the measurements of all sources into one sequence in the order of their stamps.
 
     A measurement is passed on once each source has sent a stamp that is later by ``reorder``, ns.
-    The sequence is therefore the same for any delay and any order between the sources, and for
-    messages of a source that overtake each other by less than ``reorder``.  A source whose
-    messages come in the order of their stamps needs none.
+    Therefore the delays of the sources, and the order in which their messages arrive, do not affect
+    the sequence.  Within a source, a message may be overtaken by messages stamped up to ``reorder``
+    later.  If the messages of each source arrive in the order of their stamps, it can be 0.
     """
 
     def __init__(self, counts: Counts, reorder: int = REORDER) -> None:
@@ -140,7 +141,11 @@ class Sequencer:
         self._first: int | None = None
 
     def add(self, source: Source, stamp: int, values: Values) -> list[Measurement]:
-        """Add a measurement of stamp ``stamp``, ns; return the measurements next in order."""
+        """Add a measurement with a stamp in ns; return the measurements that can be passed on now.
+
+        They are in the order of their stamps.  Measurements that cannot be used are counted as
+        rejected.
+        """
         self._counts.received[source] += 1
         size = source.size
         if not all(map(math.isfinite, values)):
@@ -173,27 +178,34 @@ class Sequencer:
 
     @property
     def first(self) -> int | None:
-        """The earliest stamp, ns."""
+        """The earliest stamp of all sources, ns; None before the first measurement."""
         return self._first
 
     @property
     def newest(self) -> int | None:
-        """The latest stamp, ns."""
+        """The latest stamp of all sources, ns; None before the first measurement."""
         return max(self._newest.values(), default=None)
 
     def silent(self, max_age: int) -> list[Source]:
-        """Return the sources whose latest stamp is older than the newest one by this, ns."""
+        """Return the sources whose latest stamp is too old.
+
+        It is too old if it is earlier than the newest stamp of all sources by more than
+        ``max_age``, ns.  For a source without measurements, the first stamp of all sources counts.
+        """
         if self._first is None or not self._newest:
             return []
         newest = max(self._newest.values())
         return [s for s in Source if newest - self._newest.get(s, self._first) > max_age]
 
     def finish(self) -> list[Measurement]:
-        """Return the measurements that still wait."""
+        """Return all measurements that were not passed on yet, in the order of their stamps."""
         return self._up_to(math.inf)
 
     def _note_newest(self, source: Source) -> None:
-        """Note a source's latest stamp; a jump ahead does not count before another follows."""
+        """Update the latest stamp of a source.
+
+        A stamp that jumps ahead by more than MAX_LEAD counts only after a later one confirms it.
+        """
         waiting, before = self._waiting[source], self._newest.get(source)
         newest = waiting[-1][0]
         earlier = waiting[-2][0] if len(waiting) > 1 else before

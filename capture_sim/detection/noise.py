@@ -1,4 +1,4 @@
-"""Noise and resolution of a smooth signal's measurements, from the measurements alone."""
+"""Estimates of the noise and the resolution of a smooth signal from its measurements alone."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from statistics import median
 
 #: Smallest number of third differences for an estimate of the noise.
 MIN_DIFFERENCES = 8
-#: The median of |x| of a normal x with standard deviation 1.
+#: Median of |x| for a normally distributed x with standard deviation 1.
 _MEDIAN = 0.6744897501960817
-#: A signal in equal steps is quantised if it stops this often between them.
+#: A signal with steps of one size is quantised if it pauses at least this often after a step.
 _MIN_STOPS = 3
-#: Round-off of a difference, and the least step of a quantised signal, m or rad.
+#: Largest round-off of a difference, and smallest step of a quantised signal, m or rad.
 _ROUND_OFF, _MIN_STEP = 1e-10, 1e-6
 
 
 def third_difference(t: list[float]) -> tuple[float, float, float, float]:
-    """Return weights of four measurements whose sum is 0 for any parabola in time.
+    """Return weights for four measurements at times ``t``, s, that cancel any parabola in time.
 
-    They are scaled so that the sum has the standard deviation of one independent measurement.
+    The weighted sum of the measurements is their third difference.  The weights are scaled so that
+    its standard deviation is that of a single measurement, if the errors are independent.
     """
     t_0, t_1, t_2, t_3 = t
     w_0 = 1.0 / ((t_0 - t_1) * (t_0 - t_2) * (t_0 - t_3))
@@ -32,13 +33,14 @@ def third_difference(t: list[float]) -> tuple[float, float, float, float]:
 
 
 class NoiseEstimate:
-    """The standard deviation of a measurement, from the last ``size`` third differences.
+    """Estimate of the standard deviation of a measurement from the last ``size`` third differences.
 
-    The median makes it insensitive to the few differences that a hit or an outlier makes large.
+    It uses the median of their magnitudes, which the few large differences of an impact or an
+    outlier hardly change.
     """
 
     def __init__(self, size: int = 200) -> None:
-        #: Standard deviation of a measurement; 0 while it is not known.
+        #: Estimated standard deviation of a measurement; 0 while it is not known.
         self.deviation = 0.0
         self._differences: deque[float] = deque(maxlen=size)
         self._count = 0
@@ -47,35 +49,35 @@ class NoiseEstimate:
         """Add a third difference, see :func:`third_difference`."""
         self._differences.append(abs(difference))
         self._count += 1
-        # of many, one more does not change the median
+        # one more among many differences hardly changes the median
         is_due = self._count <= 4 * MIN_DIFFERENCES or self._count % MIN_DIFFERENCES == 0
         if self.known and is_due:
             self.deviation = median(self._differences) / _MEDIAN
 
     @property
     def known(self) -> bool:
-        """True if there are enough measurements."""
+        """True if there are enough differences for an estimate."""
         return self._count >= MIN_DIFFERENCES
 
     @property
     def latest(self) -> float:
-        """The standard deviation of the last few measurements."""
+        """Standard deviation estimated from the last few differences only; 0 without any."""
         if not self._differences:
             return 0.0
         return median(islice(reversed(self._differences), MIN_DIFFERENCES)) / _MEDIAN
 
 
 class Resolution:
-    """The step of a quantised signal, from the last ``size`` differences."""
+    """Estimate of the step of a quantised signal from its last ``size`` differences."""
 
     def __init__(self, size: int = 60) -> None:
-        #: The smallest step of a signal that moves in steps; 0 of one that does not.
+        #: Common divisor of the steps of a quantised signal; 0 if the signal is not quantised.
         self.value = 0.0
         self._differences: deque[float] = deque(maxlen=size)
         self._count = 0
 
     def add(self, difference: float) -> None:
-        """Add the difference between a measurement and the one before."""
+        """Add the difference between a measurement and the measurement before it."""
         self._differences.append(abs(difference))
         self._count += 1
         if self._count % MIN_DIFFERENCES == 0:
@@ -83,7 +85,7 @@ class Resolution:
 
     @property
     def is_noisy(self) -> bool:
-        """True if none of the last few measurements repeats the one before."""
+        """True if none of the last few measurements equals the measurement before it."""
         return all(islice(reversed(self._differences), MIN_DIFFERENCES))
 
     def _find(self) -> float:
@@ -93,14 +95,14 @@ class Resolution:
             common = _common_divisor(common, step)
             if common < _MIN_STEP:
                 return 0.0
-        # a constant speed has one difference, too
+        # a signal of constant speed has steps of one size, too, but no pauses
         stops = sum(b == 0.0 < a for a, b in pairwise(self._differences))
         multiples = {round(step / common) for step in steps}
         return common if stops >= _MIN_STOPS or len(multiples) > 1 else 0.0
 
 
 def _common_divisor(a: float, b: float) -> float:
-    """Return the greatest common divisor of two lengths (Euclid), within round-off."""
+    """Return the greatest common divisor of two steps, within round-off (Euclid's algorithm)."""
     while a > _ROUND_OFF:
         rest = b % a
         a, b = (0.0 if a - rest < _ROUND_OFF else rest), a

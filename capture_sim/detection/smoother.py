@@ -1,10 +1,11 @@
-"""The smoother: the path of the tip, from measurements with noise.
+"""The smoother, which estimates the path of the tip from measurements with noise.
 
-The noise is estimated from the measurements: a vehicle of 20 kg moves smoothly, so over four
-successive measurements its position is a parabola in time, and their third difference is noise.
-Without noise the path is the measured one.  With noise it is a parabola fitted (least squares) to
-as many measurements before and after as the noise requires and ``detector.max_delay`` permits.
-docs/detection_noise.md has the reasoning in numbers.
+The noise is estimated from the measurements themselves.  A vehicle of 20 kg moves smoothly, so over
+four successive measurements its position is a parabola in time, and the third difference of the
+measurements is noise.  Without noise the path consists of the measured positions.  With noise each
+position comes from a parabola fitted (least squares) to the measurements before and after it, as
+many as the noise requires and ``detector.max_delay`` permits.  docs/detection_noise.md gives the
+reasons with numbers.
 """
 
 from __future__ import annotations
@@ -21,40 +22,44 @@ from capture_sim.detection.criteria import Place
 from capture_sim.detection.nearest import Half
 from capture_sim.detection.noise import MIN_DIFFERENCES, NoiseEstimate, third_difference
 
-#: Standard deviation of a fitted position that the window aims at, as a share of the radius.
+#: Desired standard deviation of a fitted position, as a share of the capture radius.
 ACCURACY = 0.06
-#: A measurement further from the fit than this many standard deviations is left out.
+#: Measurements further from the fit than this number of standard deviations are left out.
 OUTLIER = 5.0
-#: Smallest number of measurements for a parabola through each half of them.
+#: Smallest number of measurements in a window to fit a parabola to each half of them.
 _MIN_SIZE = 8
-#: Standard deviations by which the centres of a window and of half of it may differ.
+#: Largest difference, in standard deviations, of the positions fitted with a window and half of it.
 _AGREEMENT = 1.5
-#: Smallest interval between fitted positions, s: closer ones share nearly all measurements.
+#: Smallest interval between fitted positions, s; closer positions share nearly all measurements.
 MIN_FIT_INTERVAL = 0.003
 
 
 class MeasuredTip(NamedTuple):
-    """The tip in the cone's frame, as measured: axial and lateral."""
+    """Measured position of the tip in the cone's frame, axial and lateral."""
 
     place: tuple[float, float]  # m
-    rigid: tuple[float, float]  # with the buffer at rest, which moves smoothly, m
+    rigid: tuple[float, float]  # m, position computed with the buffer at rest, so it moves smoothly
     rate: tuple[float, float] | None  # of ``place``, m/s; None if not measured
 
 
 class _Window(NamedTuple):
-    """Measurements near an instant, and the parabola through them."""
+    """Measurements near an instant, and the parabola fitted to them."""
 
     first: int  # number of the first measurement
     tips: np.ndarray  # (n, 2), m
     degree: int
     basis: np.ndarray  # (n, degree + 1)
     fitted: np.ndarray  # (n, 2), m
-    centre: np.ndarray  # (2,), m, at the instant
-    gain: float  # variance of the centre, by that of a measurement
+    centre: np.ndarray  # (2,), m, fitted position at the instant
+    gain: float  # variance of the centre divided by that of a measurement
 
     @classmethod
     def of(cls, first: int, times: np.ndarray, tips: np.ndarray) -> _Window:
-        """Fit the measurements; ``times``, (n,), s, count from the instant."""
+        """Fit a parabola to ``tips``, (n, 2), m, at ``times``, (n,), s, after the instant.
+
+        With few measurements the fit is a line or a constant.  ``first`` is the number of the first
+        measurement.
+        """
         n = len(times)
         degree = 2 if n >= _MIN_SIZE else max(min(n // 2 - 1, 1), 0)
         basis = np.vander(times / max(float(np.abs(times).max()), 1e-9), degree + 1, True)
@@ -64,30 +69,30 @@ class _Window(NamedTuple):
         return cls(first, tips, degree, basis, basis @ coefficients, coefficients[0], gain)
 
     def is_noise(self, sigma: np.ndarray) -> bool:
-        """Return True if the deviations from the parabola are noise, of (2,) m."""
+        """Return True if noise of deviation ``sigma``, (2,), m, explains the fit's residuals."""
         square = np.minimum(np.square((self.tips - self.fitted) / sigma), OUTLIER**2)
         dof = 2 * max(len(self.tips) - self.degree - 1, 1)
         return bool(square.sum() / dof - 1.0 <= 3.0 * math.sqrt(2.0 / dof))
 
 
 def _inverse(basis: np.ndarray) -> np.ndarray:
-    """Return the least squares' inverse, (k, n), of a basis of full rank, (n, k).
+    """Return the pseudo-inverse, (k, n), of a basis of full rank, (n, k), for least squares.
 
-    The basis is scaled to 1, so its normal equations are well conditioned; a decomposition takes
-    several times as long.
+    It solves the normal equations, which are well conditioned because the times in the basis are
+    scaled to at most 1.  A decomposition (QR or SVD) would take several times as long.
     """
     transposed = basis.T
     return np.asarray(np.linalg.solve(transposed @ basis, transposed))
 
 
 class TipPath:
-    """Follows the tip; returns its places in the order of time, each once.
+    """Estimator of the tip's path, which turns measurements into places in the order of time.
 
-    ``radius`` (m) is the radius of the capture zone, for which the accuracy is required.  ``delay``
-    (s) is the longest wait after an instant for the measurements of its fit.  If the noise is below
-    ``clean`` (m), the measurements are used directly.  Nothing is fitted over a gap longer than
-    ``gap`` (s), but three intervals are always permitted.  :meth:`fit` may reach back by ``keep``
-    (s).
+    ``radius`` (m) is the radius of the capture zone, from which the required accuracy follows.
+    ``delay`` (s) is the longest wait after an instant for later measurements.  If the noise is
+    below ``clean`` (m), the measurements are used directly.  An interval without measurements that
+    is longer than ``gap`` (s) and than three usual intervals counts as a gap, see :attr:`gap`.
+    Measurements stay in memory for at least ``keep`` (s), for :meth:`fit` and :meth:`rate_over`.
     """
 
     def __init__(
@@ -103,27 +108,27 @@ class TipPath:
         self._half_window = 0.0
         self._interval = 0.0
         self._count = 0
-        self._t_returned = -math.inf  # stamp of the last place that was returned
-        self._n_forgotten = 0  # measurements before the first that is kept
+        self._t_returned = -math.inf  # s, time of the last place that was returned
+        self._n_forgotten = 0  # number of measurements removed from the memory
 
     @property
     def deviation(self) -> tuple[float, float]:
-        """Standard deviation of an axial and lateral measurement, m; 0 below ``clean``."""
+        """Standard deviations of a measurement, axial and lateral, m; 0 if the noise is small."""
         return self._deviation
 
     @property
     def half_window(self) -> float:
-        """Delay after an instant until its place is returned, s."""
+        """Half of the length of the fit's window, s; a place is returned with this delay."""
         return self._half_window
 
     @property
     def knows_noise(self) -> bool:
-        """True if there were enough measurements to estimate the noise."""
+        """True if the noise is known, i.e. if there were enough measurements to estimate it."""
         return all(noise.known for noise in self._noise)
 
     @property
     def gap(self) -> float:
-        """The longest interval without a measurement that is no gap, s."""
+        """Longest interval without measurements that does not count as a gap, s."""
         return max(self._gap, 3.0 * self._interval)
 
     def add(
@@ -135,8 +140,9 @@ class TipPath:
     ) -> list[Place]:
         """Add a measurement at ``t`` (s), later than the last; return the places that it completes.
 
-        ``buffer_noise`` (m) is the standard deviation that the buffer's measurements add, and
-        ``least_noise`` (m) that of quantised poses.
+        ``buffer_noise`` (m, axial and lateral) are the standard deviations of the tip's position
+        due to the buffer's measurements.  ``least_noise`` (m) is that due to quantised poses, the
+        smallest that is assumed for poses.
         """
         self._buffer_noise, self._least_noise = buffer_noise, least_noise
         self._t.append(t)
@@ -144,16 +150,19 @@ class TipPath:
         self._learn()
         self._forget()
         if self._half_window == 0.0 and len(self._t) > 1 and self._t_returned == self._t[-2]:
-            self._t_returned = t  # as nearly always: no need to search
+            self._t_returned = t  # this is the usual case, which needs no search
             return [self._at(len(self._t) - 1)]
         return self._completed(t, self._half_window)
 
     def finish(self) -> list[Place]:
-        """Return the places that still wait for later measurements."""
+        """Return the remaining places, which no later measurements will complete."""
         return self._completed(math.inf, self._half_window)
 
     def fit(self, t: float, begin: float, end: float, degree: int) -> Place:
-        """Return the place at ``t`` from a polynomial through [begin, end]."""
+        """Return the place at ``t``, s, from a polynomial fitted to [``begin``, ``end``], s.
+
+        Outliers are left out of the fit, one by one, up to about a fifth of the measurements.
+        """
         i, k = bisect_left(self._t, begin), bisect_right(self._t, end)
         times = np.array(self._t[i:k]) - t
         tips = np.array([tip.place for tip in self._tips[i:k]])
@@ -167,7 +176,7 @@ class TipPath:
             coefficients = inverse @ (basis[is_used].T @ tips[is_used])
             deviations = (np.abs(tips - basis @ coefficients) / sigma).max(axis=1) * is_used
             worst = int(deviations.argmax())
-            # one at a time: it has bent the parabola towards itself and away from the others
+            # one at a time, because an outlier bends the curve away from the other measurements
             if deviations[worst] <= OUTLIER or n <= max(degree + 2, 0.8 * times.size):
                 break
             is_used[worst] = False
@@ -177,16 +186,17 @@ class TipPath:
         return Place._make((t, *numbers, n))
 
     def halves(self, t: float) -> tuple[Half, Half]:
-        """Return two places at ``t``: by every other measurement, and by the measurements between.
+        """Return two positions of the tip at ``t``, s, with independent noise.
 
-        The window is halved until one parabola explains all measurements in it, so no touch is in
-        it.
+        The first is fitted to every other measurement of a window around ``t``, the second to the
+        remaining measurements.  Beforehand the window is halved until one parabola explains all its
+        measurements, so that it contains no touch, or until it has too few measurements.
         """
         sigma = np.maximum(self._deviation, 1e-12)
         half_window, narrower = self._half_window, self._window(t, 0.5 * self._half_window)
         window = self._window(t, half_window)
         while len(narrower.tips) >= _MIN_SIZE:
-            # the wider window's own noise is part of the narrower one's
+            # both windows share measurements, so their noises are not independent
             spread = math.sqrt(max(narrower.gain - window.gain, 0.0)) * sigma
             bias = np.abs(narrower.centre - window.centre)
             if not window.is_noise(sigma) or (bias > _AGREEMENT * spread).any():
@@ -216,7 +226,10 @@ class TipPath:
         return _Window.of(i, np.array(self._t[i:k]) - t, tips)
 
     def rate_over(self, begin: float, end: float) -> tuple[float, float]:
-        """Return the mean speed over an interval and its standard deviation, m/s."""
+        """Return the tip's mean speed over an interval, s, and its standard deviation, m/s.
+
+        Both are infinite if there are fewer than three measurements.
+        """
         i, k = bisect_left(self._t, begin), bisect_right(self._t, end)
         times = np.array(self._t[i:k])
         if times.size < 3:
@@ -227,7 +240,7 @@ class TipPath:
         return math.hypot(*rates), math.hypot(*self._deviation) / math.sqrt(2.0 * square)
 
     def _learn(self) -> None:
-        """Update the estimate of the noise, and from it the window."""
+        """Update the estimates of noise and interval, and from them the length of the window."""
         t = self._t[-4:]
         if len(t) == 4 and t[3] - t[0] <= 3.0 * self.gap:
             w_0, w_1, w_2, w_3 = third_difference(t)
@@ -247,7 +260,7 @@ class TipPath:
             self._deviation, self._half_window = (0.0, 0.0), 0.0
             return
         self._deviation = (axial, lateral)
-        # a parabola's middle has 9/4 of the variance of a mean
+        # the middle of a fitted parabola has 9/4 of the variance of a mean
         count = (1.5 * max(axial, lateral) / (ACCURACY * self._radius)) ** 2
         self._half_window = min(max(0.5 * count, 2.0) * self._interval, self._delay)
 
@@ -257,7 +270,7 @@ class TipPath:
             self._n_forgotten += 1
 
     def _completed(self, newest: float, wait: float) -> list[Place]:
-        """Return the places that need no measurement later than ``newest``, s."""
+        """Return the new places up to ``wait``, s, before ``newest``, s, the latest measurement."""
         first = bisect_right(self._t, self._t_returned)
         # a round-off error of the stamps must not delay a place
         last = bisect_right(self._t, newest - wait + 1e-9)
@@ -277,7 +290,7 @@ class TipPath:
         return self.fit(t, t - self._half_window, t + self._half_window, 2)
 
     def _difference(self, i: int) -> tuple[float, float]:
-        """Return the mean rate since the measurement before, m/s."""
+        """Return the mean rates since the measurement before number ``i``, m/s; 0 for the first."""
         if i == 0:
             return 0.0, 0.0
         dt = self._t[i] - self._t[i - 1]

@@ -1,4 +1,4 @@
-"""All that is known of one run, whatever it comes from.
+"""All data and results of one run, from any source.
 
 Takes: A ``Scene`` to simulate, or series of measurements.
 Gives: A ``Run``: samples, series, touches, events, loads, verdict, summary.

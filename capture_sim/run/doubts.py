@@ -1,4 +1,4 @@
-"""The doubts about a run's measurements, and the series that remain."""
+"""Doubts about a run's measurements: refusal of the run, and removal of doubtful topics."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ from capture_sim.scene.parts import Scene
 
 
 class CountedSeries(NamedTuple):
-    """Series that count, and the doubts about them."""
+    """Series of a run that may be evaluated, and all doubts about the run's measurements."""
 
-    series: SeriesBySource  # by quantity and source, without the topics that are left out
+    series: SeriesBySource  # by quantity and source, without topics that a rule leaves out
     doubts: tuple[Doubt, ...]  # the gravest first
 
 
 def refuse(where: str, doubts: Sequence[Doubt]) -> None:
-    """Raise RecordingError if a rule of grade *refused* is broken."""
+    """Raise RecordingError if one of the doubts has the grade *refused*.
+
+    ``where`` is the path or name of the run, for the message.
+    """
     refused = [doubt for doubt in doubts if doubt.grade is Grade.REFUSED]
     if refused:
         waive = " ".join(f"--waive {name}" for name in dict.fromkeys(d.rule.name for d in refused))
@@ -33,7 +36,10 @@ def refuse(where: str, doubts: Sequence[Doubt]) -> None:
 
 
 def remaining(series: SeriesBySource, doubts: Sequence[Doubt]) -> SeriesBySource:
-    """Return series without the topics that are left out; no topic is decoded for it."""
+    """Return series without the topics that doubts exclude, see ``Doubt.leaves_out_topic``.
+
+    Quantities without any remaining topic are removed.  No topic is decoded by this call.
+    """
     topics = {
         topic.lstrip("/")
         for doubt in doubts
@@ -54,7 +60,11 @@ def remaining(series: SeriesBySource, doubts: Sequence[Doubt]) -> SeriesBySource
 def doubts_of(
     evidence: Sequence[Measured], scene: Scene | None, waived: Collection[str]
 ) -> tuple[Doubt, ...]:
-    """Return the doubts about measurements, each once, the gravest first."""
+    """Return the plausibility doubts about measurements, the most serious first.
+
+    There is one doubt for each broken rule and topic.  ``waived`` are names of rules that are not
+    checked; SceneError if one of them does not exist.
+    """
     check_names(waived)
     found: dict[tuple[str, str], Doubt] = {}
     for measured in evidence:

@@ -15,26 +15,26 @@ if TYPE_CHECKING:
 
 
 class Table(NamedTuple):
-    """A table of a run."""
+    """A recorded topic: its fields as arrays, and their units."""
 
-    fields: Mapping[str, np.ndarray]  # by name, (n,) or (n, m)
-    units: Mapping[str, str]  # of the columns that have one, see samples.columns_of
+    fields: Mapping[str, np.ndarray]  # by name, (n,) or (n, m) each; n messages
+    units: Mapping[str, str]  # by column, see samples.columns_of; only columns with a unit
 
 
 def samples_frame(samples: np.ndarray) -> pandas.DataFrame:
-    """Return samples, (n,) of dtype SAMPLE, as a table indexed by time."""
+    """Return samples, (n,) of dtype SAMPLE, as a table indexed by time, s."""
     labels = [phase.label for phase in Phase]
     phases = _pandas().Categorical.from_codes(samples["phase"], categories=labels)
     return _frame({**columns_of(samples), "phase": phases})
 
 
 def touches_frame(touches: np.ndarray) -> pandas.DataFrame:
-    """Return touches, (n,) of dtype TOUCH, as a table, numbered from 0."""
+    """Return touches, (n,) of dtype TOUCH, as a table with a row for each, numbered from 0."""
     return _frame(columns_of(touches))
 
 
 def events_frame(events: Sequence[Event]) -> pandas.DataFrame:
-    """Return events as a table of kind, wall, detail and state, indexed by time."""
+    """Return events as a table of kind, wall, detail, ``q`` and ``v``, indexed by time, s."""
     columns = _event_columns(events)
     kinds = [kind.label for kind in EventKind]
     columns["kind"] = _pandas().Categorical(columns["kind"], categories=kinds)
@@ -42,7 +42,7 @@ def events_frame(events: Sequence[Event]) -> pandas.DataFrame:
 
 
 def topic_frame(table: Table) -> pandas.DataFrame:
-    """Return a recorded topic as a table, indexed by time."""
+    """Return a recorded topic as a pandas table, indexed by time, s."""
     return _frame(columns_of(table.fields), table.units)
 
 

@@ -1,4 +1,4 @@
-"""The data that a run's source gives: an integration, a recording, or a loop with hardware."""
+"""The data that a run's source provides: an integration, a recording, or a loop with hardware."""
 
 from __future__ import annotations
 
@@ -24,40 +24,41 @@ T = TypeVar("T", bound="Given")
 
 
 class Integrated(NamedTuple):
-    """Results of the integration of a simulated run that need no samples."""
+    """End and energy residual of a simulated run, known without its full samples."""
 
     t_end: float  # s, of the last sample at run.rate
     energy_residual: float  # J, largest residual of the energy ledger at run.rate
 
 
 class Given:
-    """The data that the source of a run gives; a part that it does not give is empty or None.
+    """The data that the source of a run provides; a property without data is empty or None.
 
-    ``Given(scene=scene, series=series)`` holds values.  A source that computes its data lazily is a
-    subclass with its own cached properties: a topic is decoded only when it is read.
+    ``Given(scene=scene, series=series)`` stores known values.  A source that computes its data
+    lazily is a subclass that overrides the cached properties, so that a recorded topic, for
+    example, is decoded only when it is read.
     """
 
     def __init__(self, **values: Any) -> None:
-        """Hold values by the names of the properties; TypeError for any other name."""
+        """Store values under the names of the properties; TypeError if a name is not a property."""
         unknown = [name for name in values if name not in GIVEN]
         if unknown:
             raise TypeError(f"{unknown[0]}: must be one of {', '.join(GIVEN)}")
         vars(self).update(values)
 
     def replaced(self: T, **values: Any) -> T:
-        """Return a copy with other values; parts that are not computed yet stay lazy."""
+        """Return a copy with some properties replaced; it computes no other property."""
         changed = copy(self)
         Given.__init__(changed, **values)
         return changed
 
     @cached_property
     def scene(self) -> Scene | None:
-        """The scene."""
+        """Scene of the run; None if the source contains no scene."""
         return None
 
     @cached_property
     def samples(self) -> np.ndarray:
-        """Exact samples of the full state, (n,) of dtype SAMPLE."""
+        """Exact samples of the full state, (n,) of dtype SAMPLE; empty if it is not known."""
         return np.zeros(0, SAMPLE)
 
     @cached_property
@@ -67,32 +68,35 @@ class Given:
 
     @cached_property
     def touches(self) -> np.ndarray:
-        """Touches that the integrator has located, (m,) of dtype TOUCH."""
+        """Touches that the integrator has located, (m,) of dtype TOUCH; empty without any."""
         return np.zeros(0, TOUCH)
 
     @cached_property
     def events(self) -> Sequence[Event]:
-        """Events that the integrator has logged, in order."""
+        """Events that the integrator has logged, in the order of their times."""
         return ()
 
     @cached_property
     def received(self) -> Sequence[Received] | None:
-        """Measurements for the detector in the order of their arrival; None to use the series."""
+        """Measurements for the detector, in the order in which they arrived.
+
+        With None the detector uses measurements made from :attr:`series`.
+        """
         return None
 
     @cached_property
     def live(self) -> LiveConditions:
-        """Measurements that the live detector could use."""
+        """Conditions under which the live detector evaluated the run, to evaluate it again."""
         return LiveConditions(is_simulated=True)
 
     @cached_property
     def statuses(self) -> Sequence[CaptureStatus]:
-        """Statuses that a detector has reported during the run."""
+        """Statuses that a detector has reported during the run; empty without any."""
         return ()
 
     @cached_property
     def criteria(self) -> Detector | None:
-        """The criteria of that detector."""
+        """Criteria of the detector that took part in the run; None if they are not known."""
         return None
 
     @cached_property
@@ -102,22 +106,22 @@ class Given:
 
     @cached_property
     def trace(self) -> np.ndarray:
-        """Contact at the ends of the integrator's steps, (k,) with the fields of TRACE."""
+        """State of the contact at the ends of integrator steps, (k,) with the fields of TRACE."""
         return np.zeros(0, TRACE)
 
     @cached_property
     def plan(self) -> LaunchPlan | None:
-        """The launch as it was commanded."""
+        """Launch plan that the launcher was commanded to carry out; None if it is not known."""
         return None
 
     @cached_property
     def tables(self) -> Mapping[str, Table]:
-        """Recorded topics by name, as columns with units."""
+        """Recorded topics by name, as columns with units; empty for a simulated run."""
         return {}
 
     @cached_property
     def evidence(self) -> Sequence[Measured]:
-        """Measurements of the sensors, for the rules of plausibility."""
+        """Sensor measurements that the plausibility rules check."""
         return ()
 
     @cached_property
@@ -126,5 +130,5 @@ class Given:
         return None
 
 
-#: Names of what a source may give.
+#: Names of the properties of Given, i.e. of all data that a source may provide.
 GIVEN = tuple(name for name, value in vars(Given).items() if isinstance(value, cached_property))

@@ -1,7 +1,6 @@
-"""The integration of a run, which :func:`capture_sim.simulate` and all studies share.
+"""The integration of a run, used by :func:`capture_sim.simulate` and all studies.
 
-Samples are taken at ``run.rate``, the rate of the detector.  Further samples are computed only if
-they are read.
+By default samples are computed only at ``run.rate``, the rate of the detector.
 """
 
 from __future__ import annotations
@@ -25,18 +24,21 @@ from capture_sim.scene.parts import RunSettings, Scene
 
 #: Largest memory for the samples of one run, bytes.
 MAX_MEMORY = 4_000_000_000
-#: Measurements of the detector per call into the engine: more would run on too far after a
-#: verdict, fewer cost calls.
+#: Detector samples per call into the engine.  With more the run goes on too long after a verdict;
+#: with fewer the calls take too much time.
 _BLOCK = 20
-#: Samples that the runs of a thread have room for; those of longer runs take new memory.
+#: Length of the array of samples that the runs of a thread reuse.  A longer run allocates an array.
 _ROOM = 4096
 
 
 def check_memory(
     run: RunSettings, count: float, rate: Literal["state_rate", "rate"] = "state_rate"
 ) -> None:
-    """Raise SceneError if the samples at one of the run's rates would fill the memory."""
-    # as they are computed, and as they are returned
+    """Raise SceneError if ``count`` samples would need more memory than MAX_MEMORY.
+
+    ``rate`` names the setting of ``run`` that the message shows as the rate of the samples.
+    """
+    # twice: while they are computed, and as they are returned
     needed = 2.0 * count * SAMPLE.itemsize
     if needed > MAX_MEMORY:
         raise SceneError(
@@ -47,9 +49,9 @@ def check_memory(
 
 
 class _Kept(threading.local):
-    """Memory of the runs of a call, kept for the next one; each thread has its own.
+    """Pool of memories that simulated runs reuse; each thread has its own pool.
 
-    All runs of a call share the room for samples.
+    All memories of a pool share one array of samples, because runs are integrated one at a time.
     """
 
     def __init__(self) -> None:
@@ -57,39 +59,40 @@ class _Kept(threading.local):
         self._memories: list[Memory] = []
 
     def memories(self, count: int) -> list[Memory]:
-        """Return ``count`` memories; the next call returns the same ones again."""
+        """Return the first ``count`` memories of the pool; later calls return the same objects."""
         missing = count - len(self._memories)
         self._memories += [Memory(self._samples) for _ in range(missing)]
         return self._memories[:count]
 
 
-#: Memory of the runs of this thread.
+#: Memories for the runs of the calling thread.
 kept = _Kept()
 
 
 class Integration:
-    """A run that is prepared, integrated and evaluated in three steps.
+    """A run that is prepared, integrated and evaluated in separate calls.
 
-    A study of many runs takes each step for several of them in a row: a kernel displaces Python's
-    code from the processor's caches, after which it is three times as slow.
+    A study of many runs prepares several runs, then integrates them all, then evaluates them all.
+    This is faster than run by run: a compiled kernel displaces Python's code from the processor's
+    caches, and the Python code after it then takes three times as long.
 
     Parameters
     ----------
     scene
         Scene of the run; SceneError if it breaks a rule.
     memory
-        As for :class:`capture_sim.dynamics.bench.Bench`.
+        Memory to reuse, as for :class:`capture_sim.dynamics.bench.Bench`; None for new memory.
 
     Attributes
     ----------
     bench : Bench
-        The bench, after the integration at its end.
+        The bench that is integrated; it has the touches, events and peak loads of the run.
     t_end : float
         Time of the last sample at ``run.rate``, s.
     energy_residual : float
-        Largest residual of the energy ledger at ``run.rate``, J.
+        Largest magnitude of the energy ledger's residual in the samples at ``run.rate``, J.
     failure : str
-        Why the integration had to stop; empty for a complete run.
+        Reason why the integration stopped early; empty for a complete run.
     """
 
     def __init__(self, scene: Scene, memory: Memory | None = None) -> None:
@@ -101,23 +104,29 @@ class Integration:
         self.failure = ""
 
     def integrate(self) -> None:
-        """Run to the end; :meth:`finish` has the verdict."""
+        """Run to the end and evaluate the samples; :meth:`finish` then returns the final status."""
         samples = self._integrated(self._times)
         self._note(samples)
         self._detector.to_end(samples)
 
     def statuses(self) -> Statuses:
-        """Run to the end, and return the detector's statuses, the last one with the verdict."""
+        """Run to the end and return the detector's statuses, the last of which has the verdict."""
         samples = self._integrated(self._times)
         self._note(samples)
         return self._detector.statuses(samples, cut=bool(self.failure))
 
     def sample(self, times: np.ndarray) -> np.ndarray:
-        """Run to the end, and return the samples at times, (n,), s, in place of the detector's."""
+        """Run to the end and return the samples at ``times``, (n,), s, without using the detector.
+
+        There are no samples after the end of the run.
+        """
         return self._integrated(to_the_end(times))
 
     def controlled(self, control: Control) -> tuple[np.ndarray, Statuses]:
-        """Run to the end with a controller; return samples at ``run.state_rate``, and statuses."""
+        """Run to the end with a controller of the thrusters.
+
+        Return the samples at ``run.state_rate`` and the detector's statuses.
+        """
         run = self.bench.scene.run
         pieces = list(drive(self.bench, control=control))
         self.failure = str(pieces[-1].failure or "")
@@ -134,7 +143,7 @@ class Integration:
             return error.partial
 
     def integrate_to_verdict(self) -> None:
-        """Run to the verdict, or to the end."""
+        """Run until the detector has a verdict, or to the end of the run."""
         for piece in drive(self.bench, self._times[:-1], block=_BLOCK):
             self.failure = str(piece.failure or "")
             self._note(piece.samples)
@@ -149,19 +158,20 @@ class Integration:
             self.energy_residual = max(self.energy_residual, float(residual))
 
     def finish(self) -> CaptureStatus:
-        """Return the final status of a run that was integrated."""
+        """Return the detector's final status; call it once, after the integration."""
         return self._detector.finish(cut=bool(self.failure))
 
     @property
     def since(self) -> float:
-        """When the detector's last state began, s since the release."""
+        """Time at which the detector's last state began, s since the release."""
         return self._detector.since
 
     @property
     def behind(self) -> float:
-        """Return how far the tip's centre is behind BE at the end, m; 0 within the capture radius.
+        """Distance of the tip's centre behind BE at the last sample, m, along the cone's axis.
 
-        A tip may pass through BE.  No scene describes the inside of the target, behind BE.
+        It is 0 if the tip is in front of BE, or behind it by at most the capture radius.  Beyond BE
+        the simulated motion means little, because no scene describes the inside of the target.
         """
         behind = -self._detector.axial
         return behind if behind > self.bench.scene.detector.capture_radius else 0.0
@@ -169,7 +179,7 @@ class Integration:
 
 @lru_cache(maxsize=4)
 def _measured_at(t_end: float, rate: float) -> np.ndarray:
-    """Return the times of the detector's measurements, s, and the result of :func:`to_the_end`.
+    """Return the times of the detector's samples, s, ended by :func:`to_the_end`.
 
     Most runs of a study have equal times, so the result is cached.
     """

@@ -1,4 +1,4 @@
-"""Values that are made at their first use, e.g. of a topic that is not yet decoded."""
+"""Values that are computed at their first use, e.g. series of a topic that is not yet decoded."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ T = TypeVar("T")
 
 
 class Deferred(Generic[T]):
-    """A value that is made at its first use."""
+    """A value that ``make`` computes at its first use, and that is then stored."""
 
     def __init__(self, make: Callable[[], T]) -> None:
         self._make = make
 
     @cached_property
     def value(self) -> T:
-        """The value."""
+        """The value; the first access computes it."""
         return self._make()
 
 
 class LazyMapping(Mapping[str, T]):
-    """A mapping whose values are made at their first use."""
+    """Mapping that computes each value with a function of its own at the first access."""
 
     def __init__(self, makers: Mapping[str, Callable[[], T]]) -> None:
         self._values = {name: Deferred(make) for name, make in makers.items()}
 
     def without(self, names: Collection[str]) -> LazyMapping[T]:
-        """Return the mapping without some names; no value is made for it."""
+        """Return a copy of the mapping without some names; this computes no value."""
         kept = LazyMapping[T]({})
         kept._values = {name: value for name, value in self._values.items() if name not in names}
         return kept

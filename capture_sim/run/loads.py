@@ -21,18 +21,18 @@ from capture_sim.scene.parts import Scene
 
 
 class Load(NamedTuple):
-    """A load of a run: its key in results, its fields of EXTREMES, and its unit in tables."""
+    """Definition of a reported load: its key in results, its units, and its fields of EXTREMES."""
 
     key: str
     meaning: str
     unit: str  # SI
     shown_in: str  # unit in tables
     factor: float  # from unit to shown_in
-    extremes: tuple[str, ...]
-    least: bool = False  # True: minimum, not maximum
+    extremes: tuple[str, ...]  # fields of EXTREMES; the load is the peak over all of them
+    least: bool = False  # True: the load is the minimum, not the maximum
 
 
-#: Reported extremes of a run; :func:`loads_of` returns four keys for each.
+#: Reported loads of a run; :func:`loads_of` returns up to four keys for each.
 LOADS = (
     Load("max_axial_stroke_in", "stroke inwards", "m", "mm", 1e3, ("axial_stroke_in",)),
     Load("max_axial_stroke_out", "stroke outwards", "m", "mm", 1e3, ("axial_stroke_out",)),
@@ -69,21 +69,24 @@ LOADS = (
 )
 
 
-#: A stroke or an angle below this is round-off, m and rad.
+#: A load in m or rad below this value is round-off and counts as 0.
 _ROUND_OFF = 1e-15
 
 
 def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
-    """Return the loads of a run by name, SI units.
+    """Return the loads of a run by key, SI units.
 
-    Every load of :data:`LOADS` has four keys: ``max_torsion`` over the whole run, latch included,
-    ``max_torsion_before_latch`` until the latch closes (the whole run if it never does), and their
-    times ``max_torsion_time`` and ``max_torsion_before_latch_time``, s since the release.  A load
-    that never occurs is 0, with time None; a load that was not measured is None.  Two further keys
-    are ``touches``, their number, and ``first_contact_impulse``, N s.  ``touches`` are (n,) of
-    dtype TOUCH.
+    Every load of :data:`LOADS` except the force of the latch has four keys.  For example,
+    ``max_torsion`` is the peak over the whole run, and ``max_torsion_before_latch`` the peak until
+    the latch closes (over the whole run if it never does).  Their times are ``max_torsion_time``
+    and ``max_torsion_before_latch_time``, s since the release.  The force of the latch has only the
+    two keys for the whole run.  A load that never occurs is 0, with time None.  A load that was not
+    measured is None.
+
+    Two further keys are ``touches``, the number of touches, and ``first_contact_impulse``, N s,
+    None if it was not measured.  The argument ``touches`` is (n,) of dtype TOUCH.
     """
-    # as plain numbers: access to the fields of a record is slow
+    # as tuples, because access to the fields of a record is slow
     rows: list[Any] = [row.item() for row in extremes if row is not None]
     loads: dict[str, Any] = {}
     for load, keys, columns in _columns_of_loads():
@@ -102,9 +105,11 @@ NEAREST_ERROR = "nearest_distance_error"
 
 
 def with_closest(loads: dict[str, Any], distance: float, deviation: float) -> dict[str, Any]:
-    """Return loads with an estimate of the closest approach, m, by its standard error.
+    """Return a copy of ``loads`` in which an estimate replaces the closest approach.
 
-    That is None if noise hides it; the time of an estimate is not known.
+    ``distance`` is the estimate, m, and ``deviation`` its standard error, m, which is added under
+    the key :data:`NEAREST_ERROR`.  Both are stored as None if one of them is not finite, because
+    noise then hides the closest approach.  Its times are None, as an estimate has no time.
     """
     known = math.isfinite(distance) and math.isfinite(deviation)
     found = {**loads, NEAREST_ERROR: deviation if known else None}
@@ -115,7 +120,10 @@ def with_closest(loads: dict[str, Any], distance: float, deviation: float) -> di
 
 @functools.cache
 def _columns_of_loads() -> list[tuple[Load, list[str], list[tuple[int, int]]]]:
-    """Return each load, its keys, and the positions of its extremes in EXTREMES and their times."""
+    """Return each load with its four keys and the column numbers of its fields in EXTREMES.
+
+    There is a pair of numbers for each field: the column of the value and the column of its time.
+    """
     names = EXTREMES.names or ()
     ends = ("", "_time", "_before_latch", "_before_latch_time")
     return [
@@ -131,7 +139,11 @@ def _columns_of_loads() -> list[tuple[Load, list[str], list[tuple[int, int]]]]:
 def _peak(
     load: Load, columns: Sequence[tuple[int, int]], rows: Sequence[tuple[float, ...]]
 ) -> tuple[float | None, float | None]:
-    """Return the peak of a load over some rows of extremes, and its time."""
+    """Return the peak of a load over rows of EXTREMES and the peak's time, s.
+
+    The minimum counts if ``load.least`` is set.  The peak is None if all values are NaN.  The time
+    is None without a peak, and for a maximum of 0.
+    """
     value = t = None
     for row in rows:
         for column, time_column in columns:
@@ -144,15 +156,16 @@ def _peak(
     return value, t if value or load.least else None
 
 
-#: Share of the cylinder behind the probe beyond which a stroke inwards is implausible: a real
-#: spring or damper needs the rest.
+#: Share of the cylinder's free length behind the probe beyond which a stroke inwards is
+#: implausible, because a real spring or damper needs the rest of the length.
 _USABLE_SHARE = 0.5
 
 
 def plausible_stroke(scene: Scene) -> float:
-    """Return the stroke inwards that the cylinder plausibly has room for, m.
+    """Return the largest plausible stroke inwards, m.
 
-    It is half of the room behind the probe at rest; infinite with stops, which end the stroke.
+    It is half of the cylinder's free length behind the probe at rest.  With stops, which limit the
+    stroke themselves, it is infinite.
     """
     if scene.stops is not None:
         return math.inf
@@ -161,7 +174,7 @@ def plausible_stroke(scene: Scene) -> float:
 
 
 def implausible_stroke(scene: Scene, stroke: float | None) -> str:
-    """Return a warning on a stroke inwards (m) that the cylinder has no room for; else empty."""
+    """Return a warning if a stroke inwards (m) exceeds :func:`plausible_stroke`, else ''."""
     if not stroke or stroke <= plausible_stroke(scene):
         return ""
     return (
@@ -173,11 +186,12 @@ def implausible_stroke(scene: Scene, stroke: float | None) -> str:
 def sampled_extremes(
     scene: Scene, samples: np.ndarray, touches: np.ndarray, events: Iterable[Event]
 ) -> Extremes:
-    """Return the extremes of a run from its samples, touches and events only.
+    """Return the extremes of a run from its samples, touches and events.
 
-    The peaks of touches come from ``touches``, the force of the latch as it closes from its event.
-    Strokes, torsion, penetration and the buffer's force come from the samples, so peaks between two
-    samples are missed.  A quantity that was not measured is NaN.
+    This is for runs without extremes from the integrator.  Peak forces of touches come from
+    ``touches``.  The latch's force at its closing is computed from the state of the LATCHED event.
+    All other peaks come from the samples, so peaks between two samples are missed.  A quantity that
+    was not measured is NaN.
     """
     latched = next((event for event in events if event.kind is EventKind.LATCHED), None)
     latch_time = math.inf if latched is None else latched.t
@@ -213,7 +227,7 @@ def sampled_extremes(
         row["tip_distance"] *= -1.0
     after = extremes[1]
     if latched is not None and scene.latch is not None:
-        # the spring is relaxed then; the damper acts on the full speed of the tip
+        # as the latch closes, its spring is relaxed; its damper acts on the full speed of the tip
         state = (*latched.q.tolist(), *latched.v.tolist())
         _, _, wx, wy = plain(tip_in_cone)(state, Criteria.of(scene))
         at_closing = scene.latch.damping * math.hypot(wx, wy)
@@ -223,7 +237,7 @@ def sampled_extremes(
 
 
 def _stop_force(scene: Scene, samples: np.ndarray) -> np.ndarray:
-    """Return the force of the stroke stops on the probe in samples, (n,), N."""
+    """Return the force of the stroke stops on the probe in samples, (n,), N; 0 without stops."""
     stroke, rate = samples["axial_stroke"], samples["v"][:, 4]
     force = np.zeros(samples.size)
     if scene.stops is None:
@@ -235,7 +249,7 @@ def _stop_force(scene: Scene, samples: np.ndarray) -> np.ndarray:
     return force
 
 
-#: The numbers of a part, in the recordings of the first commits.
+#: Fields of extremes in the order in which the first versions recorded them, as lists.
 _FIRST_EXTREMES = tuple(
     f"{name}{end}"
     for name in (
@@ -244,7 +258,7 @@ _FIRST_EXTREMES = tuple(
         "torsion",
         "tip_distance",
         "penetration",
-        "peak_force",  # of either wall: in the touches as well, with the wall
+        "peak_force",  # of either wall; not read, because the touches have it with its wall
     )
     for end in ("", "_time")
 )
@@ -253,7 +267,11 @@ _FIRST_EXTREMES = tuple(
 def with_forces_of_touches(
     extremes: Extremes, touches: np.ndarray, events: Iterable[Event]
 ) -> Extremes:
-    """Return extremes of a run with the walls' forces, where they lack them, from its touches."""
+    """Return extremes in which unknown normal forces are replaced by the peaks of the touches.
+
+    Old recordings lack the extremes of the normal force of each wall, which are then NaN.  They
+    become 0 if no touch has that wall.
+    """
     latched = min((e.t for e in events if e.kind is EventKind.LATCHED), default=math.inf)
     before, after = extremes.before_latch.copy(), copy.copy(extremes.after_latch)
     is_before = touches["start"] < latched
@@ -273,7 +291,7 @@ def with_forces_of_touches(
 
 
 def extremes_to_text(extremes: Extremes) -> str:
-    """Return extremes as a line of JSON, exactly."""
+    """Return extremes as one line of JSON, without loss of accuracy."""
     names = EXTREMES.names or ()
     named = [None if row is None else dict(zip(names, row.item(), strict=True)) for row in extremes]
     return json.dumps(dict(zip(Extremes._fields, named, strict=True)))
@@ -282,13 +300,13 @@ def extremes_to_text(extremes: Extremes) -> str:
 def extremes_from_text(text: str) -> Extremes:
     """Return the extremes from a text of :func:`extremes_to_text`; ValueError if it is invalid.
 
-    A value that a text of another version does not contain is NaN: it was not recorded.
+    A field that the text does not contain, because another version wrote it, becomes NaN.
     """
     extremes = np.full(2, math.nan, EXTREMES)
     try:
         before, after = (json.loads(text)[name] for name in Extremes._fields)
         for row, values in zip(extremes, (before, after), strict=True):
-            if isinstance(values, list):  # of a list each place had a meaning
+            if isinstance(values, list):  # written by one of the first versions
                 values = dict(zip(_FIRST_EXTREMES, values, strict=True))
             if values is not None:
                 for name in (name for name in EXTREMES.names or () if name in values):
@@ -301,5 +319,5 @@ def extremes_from_text(text: str) -> Extremes:
 
 
 def if_measured(value: float) -> float | None:
-    """Return a number that was measured; None for NaN, as results.json has it."""
+    """Return a number as a float; None if it is not finite, because JSON has no NaN."""
     return float(value) if math.isfinite(value) else None

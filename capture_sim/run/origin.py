@@ -1,4 +1,4 @@
-"""Where a run comes from, how it was made, and how its release was found."""
+"""The origin of a run: its source, the software that made it, and how its release was found."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 
 class Release(Enum):
-    """Source of the release time, t = 0."""
+    """How the time of the release, t = 0, was determined."""
 
-    STAMP = auto()  # recorded, and stamped by the clock of the poses
-    ARRIVAL = auto()  # recorded by its arrival only, or the trial's announcement in its place
-    GIVEN = auto()  # by the user, after the first pose
-    BEGINNING = auto()  # not recorded: the first pose, without poses the first message
+    STAMP = auto()  # from a recorded stamp by the clock of the poses, or a simulated run
+    ARRIVAL = auto()  # from the arrival of the release, or of the trial's announcement
+    GIVEN = auto()  # by the user, in s after the first pose
+    BEGINNING = auto()  # no release recorded: the first pose counts, or the first message
 
 
 @dataclass(frozen=True)
@@ -28,26 +28,31 @@ class Origin:
 
     path: str = ""  # of the recording; empty for a run of :func:`capture_sim.simulate`
     recorded_software: tuple[str, ...] | None = None  # None: the run was made by this process
-    # of the recorded scene, as the version that recorded it wrote it: a scene gains fields; empty
+    # of the text of the recorded scene, which another version may write with other fields; empty
     # for a run of :func:`capture_sim.simulate`
     scene_sha256: str = ""
     release: Release = Release.STAMP
-    after_first_pose: float = 0.0  # s, of the release
+    after_first_pose: float = 0.0  # s, time from the first pose to the release
     problems: tuple[str, ...] = ()  # why the recording is incomplete, one line each
     left_out: tuple[str, ...] = ()  # topics that cannot be read, one line each
 
     @property
     def software(self) -> tuple[str, ...]:
-        """Software that made the run, ``"name version"`` each; asking git is slow."""
+        """Software that made the run, as texts ``"name version"``.
+
+        For a run of this process the first access is slow, because it asks git for the version.
+        """
         if self.recorded_software is not None:
             return self.recorded_software
         return tuple(software_versions())
 
 
 def scene_origin(scene: Scene, sha256: str = "") -> dict[str, Any]:
-    """Return name, overrides and hash of a scene, and the seed of its sensors (None without).
+    """Return the name, the overrides and the hash of a scene, and the seed of its sensors.
 
-    ``sha256`` is the hash of the scene as it was recorded; without one, of its text today.
+    The keys are those of ``made_by`` in results.json.  The seed is None for a scene without
+    sensors.  ``sha256`` is the hash of the scene as it was recorded; if it is empty, the hash of
+    the scene's present text is returned.
     """
     return {
         "scene": scene.name,

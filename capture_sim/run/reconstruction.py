@@ -1,6 +1,7 @@
-"""Samples, touches and events of a run from its measurements: poses, buffer, forces if measured.
+"""Reconstruction of a run's samples, touches and events from its measurements.
 
-No topic of the simulator (BenchState, events) is needed, only the bench's geometry.  Quantities
+It needs the poses of both vehicles, the state of the buffer and the bench's geometry, and uses
+forces if they were measured.  No topic of the simulator (BenchState, events) is needed.  Quantities
 that cannot be measured, mostly energies, are NaN.
 """
 
@@ -23,16 +24,17 @@ from capture_sim.scene.parts import PlanarState, Scene, as_name
 
 _tip_motion, _nearest_on_wall = plain(tip_motion), plain(nearest_on_wall)
 
-#: Rates of poses that come without are means over this time, s.
+#: Poses without measured rates get the mean rates over this time, s.
 RATE_WINDOW = 0.2
-#: Fields of SAMPLE that have no NaN for an unknown value.
+#: Fields of SAMPLE that are integers, so they cannot be NaN.
 _WHOLE_NUMBERS = ("phase", "walls", "at_rest", "touches")
 
 
 class Aligned:
-    """Series by quantity, at common times.
+    """Measured series of several quantities, evaluated at common times ``t``, (n,), s.
 
-    Without poses' rates these are slopes of the poses, without the buffer's its gradients.
+    Rates that were not measured are computed.  Those of a vehicle are slopes of its poses over
+    :data:`RATE_WINDOW`; those of the buffer are differences of successive values.
     """
 
     def __init__(self, t: np.ndarray, series: Mapping[str, Series]) -> None:
@@ -40,11 +42,14 @@ class Aligned:
         self._series = series
 
     def has(self, name: str) -> bool:
-        """Return True if a quantity was measured."""
+        """Return True if the series of a quantity has values."""
         return self._series.get(name, NO_SERIES).t.size > 0
 
     def at_times(self, name: str) -> np.ndarray:
-        """Return values, (n,) or (n, m), linear between the series' own; NaN without any."""
+        """Return a quantity at the times, (n,) or (n, m), by linear interpolation.
+
+        The result is NaN if the quantity was not measured.
+        """
         series = self._series.get(name, NO_SERIES)
         if not series.t.size:
             return np.full((self.t.size, *series.values.shape[1:]), np.nan)
@@ -54,20 +59,26 @@ class Aligned:
         return np.stack(columns, axis=-1)
 
     def latest(self, name: str) -> np.ndarray:
-        """Return states, (n,), each kept until the next."""
+        """Return the latest value of an integer quantity at each time, (n,).
+
+        Before the first value of the series, the result is the first value.
+        """
         series = self._series[name]
         before = np.searchsorted(series.t, self.t, side="right") - 1
         return np.asarray(series.values[np.maximum(before, 0)].astype(int))
 
     def rates_of(self, vehicle: str) -> np.ndarray:
-        """Return the rates of a vehicle's poses, (n, 3), m/s, m/s and rad/s."""
+        """Return a vehicle's rates, measured or computed, (n, 3), m/s, m/s and rad/s."""
         if self.has(f"{vehicle}_rate"):
             return self.at_times(f"{vehicle}_rate")
         slopes = {vehicle: _fitted_rates(self._series[vehicle])}
         return Aligned(self.t, slopes).at_times(vehicle)
 
     def rate_of(self, name: str) -> np.ndarray:
-        """Return the rate of stroke, m/s, or torsion, rad/s, (n,)."""
+        """Return the rate of ``stroke``, m/s, or ``torsion``, rad/s, measured or computed, (n,).
+
+        The result is NaN if it would have to be computed from fewer than two values.
+        """
         if self.has(f"{name}_rate"):
             return self.at_times(f"{name}_rate")
         series = self._series[name]
@@ -79,18 +90,19 @@ class Aligned:
 def measured_samples(
     scene: Scene, t: np.ndarray, series: Mapping[str, Series], touches: Touches | None = None
 ) -> np.ndarray:
-    """Return measurements as samples at times (n,), s, of dtype SAMPLE.
+    """Return samples, (n,) of dtype SAMPLE, that are reconstructed from measurements.
 
     Parameters
     ----------
     scene
-        Gives the geometry of buffer and cone.
+        Geometry of buffer and cone, and ``detector.max_contact_gap``.
     t
-        Times, s since the release.
+        Times of the samples, (n,), s since the release.
     series
         Series by quantity; required are ``chaser``, ``target``, ``stroke`` and ``torsion``.
     touches
-        All touches that the force shows; None to find them by walls, counts and gaps.
+        All touches of the run.  If they are None, the walls in touch come from the series
+        ``walls``, or else from the computed gap between tip and wall.
     """
     aligned = Aligned(t, series)
     samples = np.zeros(len(t), dtype=SAMPLE)
@@ -138,8 +150,8 @@ def _fill_forces(
     gaps: np.ndarray,
     touches: Touches | None,
 ) -> None:
-    """Fill in the contact force in world axes, and the normal force of both walls."""
-    # of the body whose axes the force is in: the tip, or the target
+    """Set contact force (world axes) and normal forces in ``samples``, if a force was measured."""
+    # index in q of the attitude of the body whose axes the force is in: the tip, or the target
     sensor, angle = ("tip_force", 3) if aligned.has("tip_force") else ("cone_force", 7)
     if aligned.has(sensor):
         c, s = np.cos(samples["q"][:, angle]), np.sin(samples["q"][:, angle])
@@ -148,7 +160,7 @@ def _fill_forces(
     if aligned.has("normal_force"):
         samples["normal_force"] = aligned.at_times("normal_force")
     elif aligned.has(sensor):
-        # one sensor for both walls: its force counts for the nearer one
+        # one sensor measures both walls, so its force counts for the nearer wall
         attitude = samples["q"][:, angle] - samples["q"][:, 7]
         force = normal_force(aligned.at_times(sensor), attitude, scene.cone)
         force = np.maximum(force, 0.0)
@@ -156,7 +168,7 @@ def _fill_forces(
         if touches is not None:
             # between the touches the sensor reads its bias and noise
             force = np.where(samples["walls"] != 0, force, 0.0)
-            nearer = (samples["walls"] == 2).astype(int)  # of one that is not known, the first
+            nearer = (samples["walls"] == 2).astype(int)  # an unknown wall counts as +y
         samples["normal_force"] = 0.0
         samples["normal_force"][np.arange(len(samples)), nearer] = force
 
@@ -171,7 +183,7 @@ def _phases(samples: np.ndarray, aligned: Aligned) -> np.ndarray:
 
 
 def _walls_during(touches: Touches, t: np.ndarray) -> np.ndarray:
-    """Return the walls in touch at times (n,), as bits; both for a touch of an unknown wall."""
+    """Return the walls in touch at times (n,), s, as bits: 1 for +y, 2 for -y, both if unknown."""
     walls = np.zeros(len(t), dtype=int)
     for start, lasted, wall in zip(touches.start, touches.lasted, touches.wall, strict=True):
         walls[(t >= start) & (t <= start + lasted)] = {1: 1, -1: 2}.get(int(wall), 3)
@@ -179,7 +191,11 @@ def _walls_during(touches: Touches, t: np.ndarray) -> np.ndarray:
 
 
 def touches_in_force(found: Touches) -> np.ndarray:
-    """Return the touches found in a force, (m,) of dtype TOUCH; an unknown wall is 0."""
+    """Return touches that were found in a force as records, (m,) of dtype TOUCH.
+
+    The approach speed and the dissipated energy are NaN, because they were not measured.  An
+    unknown wall is 0.
+    """
     touches = np.zeros(len(found.start), dtype=TOUCH)
     touches["start"], touches["end"] = found.start, found.start + found.lasted
     touches["peak_force"], touches["peak_time"] = found.peak, found.peak_time
@@ -189,10 +205,11 @@ def touches_in_force(found: Touches) -> np.ndarray:
 
 
 def touches_in_samples(samples: np.ndarray, series: Mapping[str, Series]) -> np.ndarray:
-    """Return the intervals of samples (n,) in touch, (m,) of dtype TOUCH.
+    """Return each sequence of successive samples (n,) in touch as a record, (m,) of dtype TOUCH.
 
-    ``series`` adds touches between two samples (``touches_begun``) and peaks (``peak_force``).
-    Without a measured force, peaks and impulses are NaN.
+    Two series add detail if they exist.  ``touches_begun`` shows touches that began and ended
+    between two samples, and ``peak_force`` has the largest force since the sample before.  Without
+    a measured force, peaks and impulses are NaN.
     """
     t = samples["t"]
     aligned = Aligned(t, series)
@@ -226,15 +243,15 @@ def touches_in_samples(samples: np.ndarray, series: Mapping[str, Series]) -> np.
 def events_of(
     scene: Scene, samples: np.ndarray, touches: np.ndarray, series: Mapping[str, Series]
 ) -> tuple[Event, ...]:
-    """Return a TOUCH event for each touch, with its state in the samples.
+    """Return a TOUCH event for each touch, with ``q`` and ``v`` from the samples.
 
-    The rates are those just before the touch, from poses that no gap separates from it.  Without
-    such poses they are NaN, and ``detail`` gives the reason.  ``series`` are the series of the
-    samples.
+    The rates ``v`` are those just before the touch.  If the poses have a gap there, in which the
+    vehicles moved too far, the rates are NaN and ``detail`` gives the reason.  ``series`` are the
+    series from which the samples were made.
     """
     poses = [series["chaser"].t, series["target"].t]
     has_twist = "chaser_rate" in series and "target_rate" in series
-    # means over a window do not see the touch half of it before
+    # a mean over a window is free of the touch if it ends half a window before it
     lead = 0.0 if has_twist else 0.5 * RATE_WINDOW
     events: list[Event] = []
     for touch in touches:
@@ -254,10 +271,11 @@ def events_of(
 def _end_of_approach(
     scene: Scene, samples: np.ndarray, poses: Sequence[np.ndarray], start: float, *, is_first: bool
 ) -> tuple[float, float]:
-    """Return when poses last showed both vehicles before a touch, s, and the travel from there, m.
+    """Return the last time with poses of both vehicles before a touch, s, and the travel since, m.
 
-    The first touch that was found is not the first contact if the tip may have met the cone in a
-    gap of the poses before.
+    If the tip may have met the cone in an earlier gap of the poses, the first touch that was found
+    may not be the first contact.  The time is then the beginning of that gap, and the travel is the
+    distance from there to the cone.
     """
     gaps = [
         (t[k], t[k + 1] - t[k])
@@ -281,21 +299,25 @@ def _speed(v: np.ndarray) -> float:
 
 
 def placed(scene: Scene, name: str, poses: Sequence[np.ndarray]) -> Scene:
-    """Return the scene with a run's name, and chaser and target at the given poses."""
+    """Return the scene with a run's name, and chaser and target at rest at poses (3,).
+
+    If the scene's rules reject these poses, the start of the scene is unchanged.
+    """
     scene = dataclasses.replace(scene, name=as_name(name), title=f"Measured; drawn as {scene.name}")
     chaser, target = (PlanarState(*pose.tolist()) for pose in poses)
     initial = dataclasses.replace(scene.initial, chaser=chaser, target=target)
     try:
         return dataclasses.replace(scene, initial=initial)
     except SceneError:
-        return scene  # a start that the simulator would reject
+        return scene  # the simulator would reject this start
 
 
 def _fitted_rates(poses: Series) -> Series:
-    """Return the rates of poses without twist: slopes of lines fitted over RATE_WINDOW.
+    """Return rates computed from poses: slopes of lines fitted over windows of RATE_WINDOW.
 
-    After Savitzky and Golay (1964): the slope of a line through evenly spaced values is their mean
-    weighted with their times.
+    The method is that of Savitzky and Golay (1964): the slope of a line through evenly spaced
+    values is their mean weighted with their times.  The result is empty if there are too few poses
+    for one window.
     """
     count = len(poses.t)
     t = np.linspace(poses.t[0], poses.t[-1], count)
@@ -307,7 +329,7 @@ def _fitted_rates(poses: Series) -> Series:
     offsets = step * np.arange(-half, half + 1)
     weights = offsets / (offsets @ offsets)
     slopes = np.stack([np.correlate(column, weights, "valid") for column in uniform.T], axis=-1)
-    # at both ends the slope of the first, or last, full window
+    # up to half a window from the ends, the rate is the slope of the first or last full window
     return Series(t, np.pad(slopes, ((half, half), (0, 0)), mode="edge"))
 
 

@@ -1,7 +1,7 @@
-"""Simulated sensors of a bench: noise, rate and bandwidth.
+"""Simulated sensors of a bench, with noise, rate and bandwidth.
 
-Every sensor has its own stream of random numbers, in the order of its readings.  The readings
-depend on the seed and the run only, not on the pace, the blocks of samples or other sensors.
+Every sensor has its own stream of random numbers.  Its readings depend only on the seed and the
+run's motion, not on the pace of the simulation, its division into blocks, or other sensors.
 """
 
 from __future__ import annotations
@@ -26,15 +26,18 @@ _CHASER, _TARGET = slice(0, 3), slice(5, 8)
 
 
 class Reading(NamedTuple):
-    """Readings at one sample; None for a sensor that is not due."""
+    """Readings at one sample; None for a sensor that is absent or not due at this sample."""
 
     chaser: Pose | None = None  # by motion capture
     target: Pose | None = None
-    wrench: Wrench | None = None  # of the tip on the cone, target's axes and centre of mass
+    wrench: Wrench | None = None  # of the tip on the target, its axes, about its centre of mass
 
 
 class SimulatedSensors:
-    """The sensors of one run of a scene; they read every sample in order."""
+    """The sensors of one run of a scene.
+
+    :meth:`read` must be called for every sample at ``run.state_rate``, in order.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self._count = 0
@@ -51,7 +54,7 @@ class SimulatedSensors:
             self._load_cell = _LoadCell(parts.load_cell, scene, rng)
 
     def read(self, sample: np.void) -> Reading:
-        """Return the readings at the next sample, of dtype SAMPLE."""
+        """Return the readings of the sensors at the run's next sample, of dtype SAMPLE."""
         k, self._count = self._count, self._count + 1
         chaser = target = wrench = None
         if self._motion_capture is not None and k % self._motion_capture.every == 0:
@@ -79,11 +82,11 @@ class _MotionCapture:
 
 
 class _LoadCell:
-    """Load cell under the cone, in the axes of the target.
+    """Load cell under the cone, which measures the tip's wrench on it in the axes of the target.
 
-    The mean wrench between two samples is the target's change of momentum minus the impulse of its
-    supports: exact also for a short touch, which samples of the force would alias.  The mass of
-    the cone is neglected.
+    The mean wrench between two samples is the target's change of momentum divided by their
+    interval, minus the mean wrench of the target's supports.  This is exact even for a touch
+    between two samples, which samples of the force would miss.  The mass of the cone is neglected.
     """
 
     def __init__(self, part: LoadCell, scene: Scene, rng: np.random.Generator) -> None:
@@ -129,9 +132,9 @@ class _LoadCell:
 
 
 def _tip_wrench(sample: np.void, L_T: float) -> Wrench:
-    """Return force (N, world axes) and torque (N m) of the tip on the target at a sample.
+    """Return force (N, N, world axes) and torque (N m) of the tip on the target at a sample.
 
-    About the target's centre of mass; ``L_T`` is its distance to BE, m.
+    The torque is about the target's centre of mass, which is ``L_T`` (m) from the centre of BE.
     """
     fx, fy = (-(sample["contact_force"] + sample["latch_force"])).tolist()
     theta = float(sample["q"][7])
@@ -142,7 +145,10 @@ def _tip_wrench(sample: np.void, L_T: float) -> Wrench:
 
 
 def _rolling_of(scene: Scene) -> Callable[[np.void], Wrench]:
-    """Return a function of the supports' wrench on the target at a sample, world axes."""
+    """Return a function of a sample that returns the supports' wrench on the target.
+
+    The wrench is in world axes, N, N and N m; it is 0 for a scene without supports.
+    """
     if scene.supports is None:
         return lambda sample: (0.0, 0.0, 0.0)
     par = pack(scene, math.nan, math.nan)[0]
@@ -159,11 +165,13 @@ def _rolling_of(scene: Scene) -> Callable[[np.void], Wrench]:
 
 
 def low_pass(order: str, bandwidth: float, dt: float) -> Callable[[float], float]:
-    """Return a low-pass filter of a signal given by its means over intervals of ``dt`` (s).
+    """Return a low-pass filter as a function from the next input to the next output.
 
-    Order ``"first"`` is 1 / (1 + s / w), ``"second"`` 1 / (1 + sqrt(2) s / w + (s / w)^2), with
-    w = 2 pi times ``bandwidth`` (Hz).  Exact for a signal that is constant within each interval,
-    so stable at any bandwidth.
+    An input is the mean of the signal over an interval of ``dt`` (s).  The output, which starts at
+    0, belongs to the end of the interval.  The transfer function of order ``"first"`` is
+    1 / (1 + s / w), that of order ``"second"`` 1 / (1 + sqrt(2) s / w + (s / w)^2), with w = 2 pi
+    times ``bandwidth`` (Hz).  The filter is exact for a signal that is constant within each
+    interval, and is therefore stable at any bandwidth.
     """
     w = 2.0 * math.pi * bandwidth
     if order == "first":
@@ -176,7 +184,7 @@ def low_pass(order: str, bandwidth: float, dt: float) -> Callable[[float], float
             return output
 
         return first
-    # y'' + sqrt(2) w y' + w^2 y = w^2 u: poles w (-1 +- i) / sqrt(2); e = y - u is free motion
+    # y'' + sqrt(2) w y' + w^2 y = w^2 u: poles w (-1 +- i) / sqrt(2); e = y - u decays freely
     a = w / math.sqrt(2.0)
     fade, c, s = math.exp(-a * dt), math.cos(a * dt), math.sin(a * dt)
     output = rate = 0.0
@@ -192,10 +200,11 @@ def low_pass(order: str, bandwidth: float, dt: float) -> Callable[[float], float
 
 
 def sensor_series(scene: Scene, samples: np.ndarray) -> dict[str, Series]:
-    """Return the readings of the scene's sensors at ``run.state_rate``, by quantity.
+    """Return the readings of the scene's sensors as series, by quantity.
 
-    ``chaser`` and ``target`` are poses by motion capture, (n, 3); ``cone_force`` is the force on
-    the tip by the load cell, (n, 2), N, in the cone's axes.
+    ``samples`` must be all samples of the run at ``run.state_rate``.  ``chaser`` and ``target`` are
+    poses by motion capture, (n, 3), m, m and rad.  ``cone_force`` is the force on the tip by the
+    load cell, (n, 2), N, in the cone's axes.  A quantity without a sensor is absent.
     """
     sensors = SimulatedSensors(scene)
     rows: dict[str, list[tuple[float, ...]]] = {"chaser": [], "target": [], "cone_force": []}

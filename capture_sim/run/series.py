@@ -1,4 +1,4 @@
-"""Time series of a run: of one quantity from one source each."""
+"""Time series of a run; each has the values of one quantity from one source."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ STATE = "bench/state"
 
 
 class Series(NamedTuple):
-    """Values of one quantity from one source, each time once.
+    """Time series of one quantity from one source, with one value at each time.
 
-    Angles count whole turns.  ``arrival`` has the same order as ``t``, so messages that overtook
-    each other have descending arrivals.
+    Angles are continuous, without jumps of a whole turn.  ``arrival`` is in the order of ``t``, so
+    it descends where a message overtook an earlier one.
     """
 
     t: np.ndarray  # (n,), s since the release, ascending
     values: np.ndarray  # (n,) or (n, m), SI units
-    arrival: np.ndarray = _EMPTY  # (n,), s since the release by the recorder's clock; (0,) without
+    arrival: np.ndarray = _EMPTY  # (n,), s since the release by the recorder's clock, or (0,)
 
     @property
     def interval(self) -> float:
@@ -44,10 +44,12 @@ NO_SERIES = Series(_EMPTY, _EMPTY)
 def in_order(
     t: np.ndarray, values: np.ndarray, arrival: np.ndarray = _EMPTY, angle: int | None = None
 ) -> Series:
-    """Return messages in the order of their arrival, (n,) or (n, m), as a series.
+    """Return the values of messages as a series, sorted by time.
 
-    Values that are not finite are left out; of equal times the first message counts.  ``angle`` is
-    the column of an angle, which is unwrapped.
+    ``t`` (n,), ``values`` (n,) or (n, m) and ``arrival`` (n,) are in the order in which the
+    messages arrived.  Messages with values that are not finite are left out.  Of several messages
+    with one time, the first to arrive counts.  ``angle`` is the column of an angle, which is
+    unwrapped; None if there is none.
     """
     is_finite = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     t, first = np.unique(t[is_finite], return_index=True)
@@ -59,7 +61,10 @@ def in_order(
 
 
 def at_rate(t: np.ndarray, rate: float) -> np.ndarray:
-    """Return which times (n,), s, are on the grid of a rate, Hz, from the first; (n,) bool."""
+    """Return a mask, (n,) bool, of the times (n,), s, that are on the grid of a rate, Hz.
+
+    The grid starts at the first time; the tolerance is 1e-6 s.
+    """
     number = (t - t[:1]) * rate
     return np.asarray(np.abs(number - np.rint(number)) < 1e-6 * rate)
 
@@ -67,7 +72,7 @@ def at_rate(t: np.ndarray, rate: float) -> np.ndarray:
 #: Series by quantity and source; a topic is decoded when one of its series is used.
 SeriesBySource = Mapping[str, Mapping[str, Series]]
 
-#: Series that samples have, as perfect sensors would measure them.
+#: Functions that compute the series of a quantity from samples, as a perfect sensor measures it.
 _IN_SAMPLES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
     "chaser": lambda s: s["q"][:, _CHASER],
     "chaser_rate": lambda s: s["v"][:, _CHASER],
@@ -80,20 +85,23 @@ _IN_SAMPLES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
     "force": lambda s: np.hypot(*(s["contact_force"] + s["latch_force"]).T),
     "distance": lambda s: s["tip_distance"],
 }
-#: Quantities of those series.
+#: Quantities that :func:`series_in` returns.
 QUANTITIES = tuple(_IN_SAMPLES)
 
 
 def series_in(samples: np.ndarray) -> dict[str, Series]:
-    """Return the series of samples, (n,) of dtype SAMPLE, by quantity."""
+    """Return the series that samples, (n,) of dtype SAMPLE, contain, by quantity.
+
+    The quantities are those of :data:`QUANTITIES`, in SI units.
+    """
     t = samples["t"]
     return {name: Series(t, values(samples)) for name, values in _IN_SAMPLES.items()}
 
 
 class SeriesPart(NamedTuple):
-    """One number of a series: its label after the series' name, and how it is displayed.
+    """One component of a series: its label, and its unit and factor from SI for display.
 
-    ``noise`` is the smallest standard deviation that is assumed of a sensor, SI.
+    ``noise`` is the smallest standard deviation that comparisons and fits assume for a sensor, SI.
     """
 
     label: str
@@ -102,13 +110,13 @@ class SeriesPart(NamedTuple):
     noise: float
 
 
-#: The numbers of a pose; the noise is the least that a comparison takes for one.
+#: The components of a pose.
 _POSE = (
     SeriesPart("x", "mm", 1e3, 1e-6),
     SeriesPart("y", "mm", 1e3, 1e-6),
     SeriesPart("theta", "mrad", 1e3, 1e-6),
 )
-#: The numbers that are compared and fitted, by series.  In place of a sampled force, touches are.
+#: The components that are compared and fitted, by quantity.  Instead of a force, its touches are.
 PARTS = {
     "chaser": _POSE,
     "target": _POSE,

@@ -1,4 +1,4 @@
-"""A complete run in one call, without ROS."""
+"""Simulation of a complete run in one call, :func:`simulate`, without ROS."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from capture_sim.scene.quantities import replaced
 
 
 class RunError(SimulationError):
-    """The integration of :func:`simulate` stopped early; ``result`` is the run up to the stop."""
+    """Error if :func:`simulate` stops early; ``result`` is the run up to the stop."""
 
     def __init__(self, message: str, partial: np.ndarray, result: Run) -> None:
         super().__init__(message, partial)
@@ -54,7 +54,7 @@ def simulate(
     trace: bool = False,
     control: Control | None = None,
 ) -> Run:
-    """Run a scene from the release to its end.
+    """Simulate a scene from the release to the end of the run.
 
     Parameters
     ----------
@@ -76,8 +76,8 @@ def simulate(
     trace
         True to keep the contact at the integrator's own steps, as with ``scene.run.trace``.
     control
-        Controller of the scene's thrusters, see :class:`capture_sim.dynamics.drive.Control`;
-        without ``t_eval``.
+        Controller of the scene's thrusters, see :class:`capture_sim.dynamics.drive.Control`.
+        ``t_eval`` must then be None.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def simulate(
     ------
     SceneError
         A value is out of its range, or the samples need more than
-        :data:`capture_sim.run.integration.MAX_MEMORY`.
+        :data:`capture_sim.run.integration.MAX_MEMORY`, or ``t_eval`` and ``control`` are both set.
     RunError
         The integration stopped early; the message names time, phase and cause, and ``result`` has
         the run up to then.  It is a SimulationError.
@@ -150,10 +150,10 @@ def simulate(
 
 
 def applied_again(run: Run) -> Control | None:
-    """Return a controller that applies the thrust of an exact run again; None if it had no thrust.
+    """Return a controller that repeats the thrust of an exact run; None if it had no thrust.
 
-    The wrenches are taken from the samples, so a change between two samples takes effect at the
-    later sample.
+    The wrenches are taken from the samples at ``run.state_rate``, so a change between two samples
+    takes effect at the earlier of the two.
     """
     thrust = run.samples["thrust"]
     if run.scene.thrusters is None or not thrust.any():
@@ -161,7 +161,7 @@ def applied_again(run: Run) -> Control | None:
     rate = run.scene.run.state_rate
 
     def command(sample: np.void) -> Commands:
-        # a sample shows the wrench up to its time
+        # a sample has the wrench that was applied up to its time
         applied = thrust[min(round(float(sample["t"]) * rate) + 1, len(thrust) - 1)]
         return applied[:3], applied[3:]
 
@@ -169,7 +169,10 @@ def applied_again(run: Run) -> Control | None:
 
 
 def _compare(coarse: Run, fine: Run) -> Check:
-    """Return the comparison of two runs of one scene, at the times that both have."""
+    """Return the comparison of a run with a more accurate run of the same scene.
+
+    The error is infinite at times that the second run did not reach.
+    """
     n = min(coarse.t.size, fine.t.size)
     difference = np.abs(coarse.q[:n] - fine.q[:n])
     arm = coarse.scene.buffer.hinge_offset + coarse.scene.rest_length
@@ -189,7 +192,7 @@ def _touch_sequence(result: Run) -> list[tuple[str, int]]:
 
 
 class _Judged(NamedTuple):
-    """A run as its detector samples it, at ``run.rate``."""
+    """Statuses of a run's detector, and end and energy residual of the run at ``run.rate``."""
 
     statuses: Statuses
     integrated: Integrated
@@ -220,7 +223,11 @@ def _with_run(scene: Scene, run: RunSettings) -> Scene:
 
 
 def _grid(scene: Scene, end: float) -> np.ndarray:
-    """Return the sample times of a run that ends at ``end`` (s) or within a period of its rate."""
+    """Return the sample times at ``run.state_rate`` of a run, (n,), s.
+
+    ``end`` is the time of its last sample at ``run.rate``, s.  The run itself may end up to one
+    period of ``run.rate`` later, so the times go on for one more period.
+    """
     run = scene.run
     count = math.floor((end + 1.0 / run.rate) * run.state_rate) + 2
     times: np.ndarray = np.arange(count) / run.state_rate
@@ -228,16 +235,16 @@ def _grid(scene: Scene, end: float) -> np.ndarray:
 
 
 def _grid_samples(scene: Scene, end: float) -> np.ndarray:
-    """Return the samples of a run at ``run.state_rate``; it ends as in :func:`_grid`."""
+    """Integrate a run and return its samples at ``run.state_rate``; ``end`` as in :func:`_grid`."""
     return Integration(_untraced(scene)).sample(_grid(scene, end))
 
 
 class GivenByIntegration(Given):
-    """The data that an integration gives; samples, series and sensors are computed when read.
+    """The data of a simulated run; samples, series and sensor readings are computed when read.
 
-    ``samples`` are the samples that the caller asked for, ``is_on_grid`` if they are at
-    ``run.state_rate``; with None a second integration computes them.  ``judged`` has the detector's
-    statuses; with None a second integration computes them.
+    ``samples`` are the samples that the caller asked for, and ``is_on_grid`` is True if they are at
+    ``run.state_rate``.  ``judged`` has the detector's statuses.  Either may be None; a second
+    integration then computes it when it is read.
     """
 
     def __init__(
@@ -266,12 +273,12 @@ class GivenByIntegration(Given):
 
     @cached_property
     def samples(self) -> np.ndarray:
-        """The samples that the caller asked for, else the samples at ``run.state_rate``."""
+        """Samples at the times that the caller asked for, else at ``run.state_rate``."""
         return self._grid if self._asked_for is None else self._asked_for
 
     @cached_property
     def _grid(self) -> np.ndarray:
-        """The samples at ``run.state_rate``."""
+        """Samples at ``run.state_rate``, whatever times the caller asked for."""
         judged: _Judged | None = vars(self).get("_judged")
         end = self._scene.run.t_end if judged is None else judged.integrated.t_end
         return _grid_samples(self._scene, end)
@@ -283,19 +290,27 @@ class GivenByIntegration(Given):
 
     @cached_property
     def statuses(self) -> Statuses | tuple[CaptureStatus, ...]:
-        """Statuses of the detector; empty of a noisy bench, whose detector reads its poses."""
+        """Statuses of the detector of exact samples.
+
+        They are empty if the scene has motion capture, because the detector must then evaluate the
+        noisy poses.
+        """
         sensors = self._scene.sensors
         is_noisy = sensors is not None and sensors.motion_capture is not None
         return () if is_noisy else self._judged.statuses
 
     @cached_property
     def integrated(self) -> Integrated:
-        """End and residual of the energy ledger."""
+        """End of the run, s, and largest residual of its energy ledger, J."""
         return self._judged.integrated
 
     @cached_property
     def series(self) -> SeriesBySource:
-        """Series of the exact samples, and of the scene's sensors, which read the grid's."""
+        """Series of the exact samples, and readings of the scene's sensors.
+
+        The exact series are at the samples' times.  The sensors read the samples at
+        ``run.state_rate``.
+        """
         made = {
             quantity: {STATE: partial(self._made, "_exact", quantity)} for quantity in QUANTITIES
         }
@@ -325,6 +340,6 @@ class GivenByIntegration(Given):
 
     @cached_property
     def _periodic(self) -> dict[str, Series]:
-        """The series of the samples at ``run.rate``."""
+        """Series of the exact samples at ``run.rate``, by quantity."""
         run = self._scene.run
         return series_in(self._grid[:: round(run.state_rate / run.rate)])

@@ -33,14 +33,17 @@ def summarize(
     made_by: Mapping[str, Any] | None = None,
     doubts: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return the main results of a run, SI units; None without contact, verdict or wall time.
+    """Return the main results of a run by the keys of results.json, SI units.
 
-    ``loads`` are those of :func:`loads_of`, and ``loads_from`` says what they come from.
-    ``energy_residual`` is the largest residual of the ledger at the samples of ``run.rate``, as in
-    the tables of sweeps, J, NaN if it was not measured; ``simulated`` is how far the run went, s.
-    ``problems`` are the reasons why the run or its recording is incomplete, which may change every
-    result.  ``made_by`` is what made the run.  ``doubts`` are the series that are left out or
-    doubted, a line each.
+    A result that the run does not have is None, e.g. the first contact of a run without touches.
+
+    ``touches`` (n,) are of dtype TOUCH, and ``status`` is the detector's last status, None without
+    any.  ``loads`` are those of :func:`loads_of`; ``loads_from`` names their source in words.
+    ``energy_residual`` is the largest residual of the energy ledger in the samples at ``run.rate``,
+    J; NaN if it was not measured.  ``simulated`` is the run's duration, s, and ``wall_time`` the
+    duration of its computation, s.  ``problems`` are the reasons why the run or its recording is
+    incomplete, which may affect every result.  ``made_by`` is the provenance of the run, see
+    :attr:`Run.made_by`.  ``doubts`` has a line for each plausibility rule that is broken.
     """
     first = first_cluster(touches)
     has_contact = first.size > 0
@@ -79,16 +82,20 @@ def sample_rate(samples: np.ndarray) -> float:
 
 
 def end_and_residual(samples: np.ndarray, rate: float) -> tuple[float, float]:
-    """Return the last time of samples, s, and the largest energy residual at a rate, Hz, J."""
+    """Return the time of the last sample, s, and the largest residual of the energy ledger, J.
+
+    Only samples on the grid of ``rate``, Hz, count for the residual, which is NaN if they do not
+    have it.  Without samples both are 0.
+    """
     if not samples.size:
         return 0.0, 0.0
     residual = samples["energy_residual"][at_rate(samples["t"], rate)]
     return float(samples["t"][-1]), float(np.abs(residual).max(initial=0.0))
 
 
-#: Key of a row of ``results.json``: file of the recording beside it; null without one.
+#: Key of a row of ``results.json`` for the file name of the recording; null without a recording.
 RECORDING = "recording"
-#: Unit and meaning of each key, in its order, but for the loads (:data:`LOADS`).
+#: Unit and meaning of each key, in the order of a row; for the loads see :data:`LOADS`.
 KEYS = {
     "name": ("", "run"),
     "verdict": ("", "the detector's verdict; `null`: nothing to detect with"),
@@ -116,9 +123,9 @@ KEYS = {
     "made_by": ("", "scene, overrides, hash, seed and software"),
     RECORDING: ("", "file of the recording beside the table; `null` without one"),
 }
-#: Keys of such a row that do not say what was measured.
+#: Keys of a row that are not results of the run, but describe its file, computation or origin.
 NOT_NUMBERS = {RECORDING, "wall_time", "real_time_factor", "made_by"}
-#: Value of the keys that are no number, where a row lacks them.
+#: Defaults of the keys that are not numbers, for rows that lack these keys.
 _MISSING: dict[str, Any] = {
     "verdict": None,
     "left_again": False,
@@ -130,14 +137,15 @@ _MISSING: dict[str, Any] = {
     "made_by": {},
     RECORDING: None,
 }
-#: Texts where these keys are not null.
+#: Keys whose value is a text or null.
 _TEXTS_OR_NULL = ("verdict", RECORDING)
 
 
 def row_from(entry: object, where: str) -> dict[str, Any]:
-    """Return a row of ``results.json``, of any version: a key that it lacks has its default.
+    """Return a row of ``results.json``, written by any version, with all keys of this version.
 
-    ValueError, which begins with ``where``, if the entry is no such row.
+    A key that the entry lacks gets its default.  If the entry is not a valid row, ValueError is
+    raised with a message that begins with ``where``.
     """
     if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
         raise ValueError(f"{where}: name: must be a text")
@@ -161,13 +169,14 @@ def row_from(entry: object, where: str) -> dict[str, Any]:
     return row
 
 
-#: Keys of the first results.json, of 0.1.0, and today's for the same value.
+#: Keys of results.json of version 0.1.0, and the present keys of these values.
 FIRST_NAMES = {
     "peak_force": "max_normal_force",
     "max_axial_stroke": "max_axial_stroke_in_before_latch",
     "max_torsion": "max_torsion_before_latch",
 }
-#: Of those, the largest value after the latch has closed, and today's key for that of the run.
+#: Keys of version 0.1.0 for the largest value after the latch has closed.  With each come the key
+#: for the time before, and the present key for the whole run.
 _FIRST_LATCHED = {
     "max_axial_stroke_latched": ("max_axial_stroke", "max_axial_stroke_in"),
     "max_torsion_latched": ("max_torsion", "max_torsion"),
@@ -175,7 +184,10 @@ _FIRST_LATCHED = {
 
 
 def _with_names_of_today(entry: dict[str, Any]) -> dict[str, Any]:
-    """Return a row of the first format of results.json with today's keys, others unchanged."""
+    """Return a row of results.json with the keys of version 0.1.0 replaced by the present keys.
+
+    A row without keys of version 0.1.0 is returned unchanged.
+    """
     if not entry.keys() & _FIRST_LATCHED.keys():
         return entry
     former = {*FIRST_NAMES, *_FIRST_LATCHED}
@@ -188,7 +200,7 @@ def _with_names_of_today(entry: dict[str, Any]) -> dict[str, Any]:
 
 
 def row_without_results(name: str, problem: str) -> dict[str, Any]:
-    """Return the row of a recording that gives no results, with the reason."""
+    """Return the row of a recording without results; ``problem`` is the reason, one line."""
     return {**row_from({"name": name}, name), "problems": [problem]}
 
 

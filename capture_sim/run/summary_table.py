@@ -7,7 +7,10 @@ from typing import Any, NamedTuple
 
 
 class _Column(NamedTuple):
-    """One column of the table: group, name and unit in its head, and its number."""
+    """One column of the table: its head (group, name, unit) and its value.
+
+    The value is that of ``key`` in the summary, times ``factor``, in the format ``form``.
+    """
 
     group: str
     name: str
@@ -49,17 +52,17 @@ LEGEND = (
 
 
 def heads() -> list[tuple[str, str, str]]:
-    """Return group, name and unit of every column; neighbours of one group share it."""
+    """Return group, name and unit of every column; adjacent columns may have the same group."""
     return [(column.group, column.name, column.unit) for column in COLUMNS]
 
 
 def rows(
     summaries: Sequence[dict[str, Any]], names: Sequence[str] | None = None
 ) -> list[list[str]]:
-    """Return summaries as texts in the units of :func:`heads`; '-' for None.
+    """Return summaries as rows of texts, one text for each column of :func:`heads`; '-' for None.
 
-    A run whose latch closed has a second row with its loads until then; an incomplete run has a
-    row that marks it.  ``names`` replaces the names of the scenes in the first column.
+    If the latch closed in a run, a second row has the loads until it closed.  An incomplete run has
+    a further row that marks it.  ``names`` replaces the names of the runs in the first column.
     """
     table_rows = []
     first_column = [summary["name"] for summary in summaries] if names is None else names
@@ -89,14 +92,14 @@ def _text(column: _Column, value: Any) -> str:
 def table(summaries: Sequence[dict[str, Any]], names: Sequence[str] | None = None) -> str:
     """Return summaries as a text table with units in its head, and notes.
 
-    ``names`` replaces the names of the scenes.  It fits 100 columns unless a name is longer than 17
-    letters.
+    ``names`` replaces the names of the runs.  The text is at most 100 characters wide unless a name
+    is longer than 17 characters.
     """
     from capture_sim.base.tables import table_text  # rich: only where a table is printed
 
     if names is not None:
         summaries = [{**row, "name": name} for row, name in zip(summaries, names, strict=True)]
-    # the group is over the column of its longest name, so that it needs no room
+    # the group is above the column with its longest name, so that no column becomes wider
     widest = {column.group: column for column in sorted(COLUMNS, key=lambda c: len(c.name))}
     head = [
         f"{column.group if column is widest[column.group] else ''}\n{column.name}\n{column.unit}"
@@ -107,7 +110,7 @@ def table(summaries: Sequence[dict[str, Any]], names: Sequence[str] | None = Non
 
 
 def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
-    """Return notes on completeness, accuracy and speed of the runs of a table."""
+    """Return lines of notes on the runs of a table: completeness, accuracy, speed and origin."""
     lines = [
         f"{s['name']}: incomplete: {'; '.join(s['problems'][:3])}."
         for s in summaries
@@ -134,7 +137,7 @@ def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def made_by_text(name: str, made_by: Mapping[str, Any]) -> str:
-    """Return a run's origin as a line: scene, hash, overrides, seed and version."""
+    """Return a run's origin as one line: source, scene, hash, overrides, seed and version."""
     parts = [f"scene {made_by['scene']}"] if "scene" in made_by else []
     if parts and "scene_sha256" in made_by:
         parts[0] += f" ({made_by['scene_sha256'][:12]})"

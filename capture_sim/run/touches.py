@@ -1,7 +1,8 @@
-"""The touches of a run: located by events, or found in a measured force.
+"""The touches of a run: located by the integrator's events, or found in a measured force.
 
-A touch of the tip lasts about a third of a millisecond.  So a sampled force shows it only if its
-rate is ten times higher than that, or if each message carries the peak since the last one.
+A touch of the tip lasts about a third of a millisecond.  Sampled forces therefore show touches only
+at rates of about 12 kHz or more, with ``MIN_SAMPLES`` samples in a touch.  Slower messages show
+touches only if each message has the number of touches and the peak force since the message before.
 """
 
 from __future__ import annotations
@@ -16,34 +17,35 @@ import numpy as np
 from capture_sim.plausibility.signals import baseline
 from capture_sim.scene.parts import Cone
 
-#: Samples that a touch must have above the threshold for its peak to be known to 1 %.
+#: Smallest number of samples in a touch for its peak to be known to 1 %.
 MIN_SAMPLES = 4
-#: Samples before the contact that the noise is known from at least.
+#: Smallest number of samples before the contact from which the noise is estimated.
 _QUIET = 50
-#: Chance that noise alone passes the threshold anywhere in the recording.
+#: Probability that noise alone exceeds the threshold anywhere in the recording.
 _FALSE_ALARM = 1e-3
-#: Where a sensor has no noise at all, this part of the largest force is none.
+#: Smallest threshold as a share of the largest force, for sensors without noise.
 _NOTHING = 1e-3
-#: Part of a touch's force that must be across the tip's axis to tell the wall.
+#: Share of a touch's force that must act across the tip's axis to identify the wall.
 _ACROSS = 0.1
-#: A curve through n samples leaves this many standard deviations, sqrt(2 n), less than the n that
-#: their noise has in the sum of its squares: few samples are met, many are smoothed.
+#: The sum of squares of n samples' noise, in units of the variance, is n with a standard deviation
+#: of sqrt(2 n).  The fitted curve may leave n less this number of standard deviations.  It thus
+#: passes through a few samples, and smooths many.
 _BELOW_NOISE = 2.0
-#: Points of that curve per sample, of which the largest is the peak: of a half sine through four
-#: samples it is low by 2e-4 at most.
+#: Number of points per sample at which the fitted curve is evaluated to find its peak.  For a half
+#: sine with four samples, the peak is low by a share of at most 2e-4.
 _POINTS = 20
-#: A zero that moves by this many standard deviations of its means, and this part of the noise,
-#: drifts.
+#: A sensor's zero drifts if two means of it differ by more than this number of the difference's
+#: standard deviations, and by more than this share of the noise.
 _DRIFT_DEVIATIONS, _LEAST_DRIFT = 6.0, 0.5
-#: A touch began anywhere between two samples: an interval is this many standard deviations.
+#: Interval of the samples by the standard deviation of a time that is uniformly distributed in it.
 _UNIFORM = math.sqrt(12.0)
-#: The trapezoidal rule over a touch by Hertz's law of n samples is wrong by so much times n^-2.5
-#: of the impulse: standard deviation over where the samples fall.
+#: Error of the trapezoidal rule for the impulse of a Hertzian touch with n samples: its standard
+#: deviation over all positions of the samples is this number times n^-2.5 times the impulse.
 _SAMPLING = 0.28
-#: An impact speed is measured if poses come this close to the contact, m: over this distance
-#: rolling resistance changes 0.1 m/s by 2 %.
+#: An impact speed counts as measured if the last pose is at most this far from the contact, m.
+#: Over this distance rolling resistance changes a speed of 0.1 m/s by 2 %.
 MAX_UNSEEN_TRAVEL = 0.02
-#: Sample times are decimal fractions: a window may end a rounding short of one, s.
+#: Tolerance for the round-off of times at the ends of a window, s.
 TICK = 1e-9
 _COLUMNS = ("start", "peak", "lasted", "peak_time", "impulse", "wall")
 
@@ -53,40 +55,48 @@ class Touches:
     """Touches of a run, (n,) each, in order; unknown values are NaN (wall: 0)."""
 
     start: np.ndarray  # s
-    peak: np.ndarray  # N, of the normal force, or of the magnitude where that was measured
+    peak: np.ndarray  # N, of the normal force, or of the force's magnitude
     lasted: np.ndarray  # s
     peak_time: np.ndarray  # s
     impulse: np.ndarray  # N s
     wall: np.ndarray  # +1 or -1
     start_noise: float = 0.0  # standard deviation, s
     peak_noise: float = 0.0  # standard deviation, N
-    threshold: float = 0.0  # N; touches whose peak is below it were not seen
-    spacing: float = 0.0  # s between the samples they were found in; 0 where none can be missed
-    all_found: bool = True  # False if the force shows further ones, too short for its samples
-    is_delay_known: bool = True  # False if a filter or another clock may delay all of them alike
+    threshold: float = 0.0  # N; touches with a smaller peak were not found
+    spacing: float = 0.0  # s, interval of the force's samples; 0 if no sampled force was used
+    all_found: bool = True  # False if the force shows further touches, with too few samples
+    is_delay_known: bool = True  # False if a filter or another clock may delay all touches equally
 
     def of(self, kept: np.ndarray | slice) -> Touches:
-        """Return some of the touches."""
+        """Return the touches that a mask, (n,) bool, or a slice selects."""
         return replace(self, **{name: getattr(self, name)[kept] for name in _COLUMNS})
 
     def later(self, by: float) -> Touches:
-        """Return these touches with all times shifted by ``by``, s."""
+        """Return the touches with all times increased by ``by``, s."""
         return replace(self, start=self.start + by, peak_time=self.peak_time + by)
 
     def within(self, contact: float, window: float) -> Touches:
-        """Return the touches within the window after a first contact, which becomes t = 0."""
+        """Return the touches that start within ``window``, s, after the time ``contact``, s.
+
+        The times of the returned touches count from ``contact``.
+        """
         shifted = self.later(-contact)
         return shifted.of((shifted.start >= -TICK) & (shifted.start <= window))
 
     def with_noise(self, start: float, peak: float) -> Touches:
-        """Return the touches with a sensor's noise, s and N, added to the sampling's."""
+        """Return the touches with a sensor's noise included, standard deviations in s and N.
+
+        The noise of the start is combined with that of the sampling, as independent errors.  The
+        noise of the peak becomes the larger of the two values.
+        """
         start_noise = math.hypot(self.start_noise, start)
         return replace(self, start_noise=start_noise, peak_noise=max(self.peak_noise, peak))
 
     def with_default_noise(self, start: float, peak: float) -> Touches:
-        """Return the touches with this noise, s and N, each where theirs is not known.
+        """Return the touches with these noises, s and N, in place of noises that are 0 (unknown).
 
-        Events have neither, counted touches only that of their times.
+        Both are unknown for touches from events.  For touches counted in messages, only that of the
+        peak is unknown.
         """
         return replace(
             self, start_noise=self.start_noise or start, peak_noise=self.peak_noise or peak
@@ -94,16 +104,19 @@ class Touches:
 
     @property
     def strength(self) -> str:
-        """The field that a fit compares: ``"impulse"`` of a sampled force, else ``"peak"``.
+        """Field that a fit compares: ``"impulse"`` for a sampled force, else ``"peak"``.
 
-        Sampling and low-pass filters lower a peak, by 10 % with a filter of 4 kHz and a touch of
-        0.35 ms.  They leave the impulse as it is.
+        Sampling and low-pass filters lower a peak, e.g. by 10 % for a filter of 4 kHz and a touch
+        of 0.35 ms.  They do not change the impulse.
         """
         return "impulse" if self.spacing > 0.0 and np.isfinite(self.impulse).all() else "peak"
 
     @property
     def strength_noise(self) -> np.ndarray:
-        """Standard deviations of the strengths, (n,): an impulse is a sum of samples."""
+        """Standard deviation of each touch's :attr:`strength`, (n,), N (peak) or N s (impulse).
+
+        That of an impulse includes the noise of its samples and the error of the trapezoidal rule.
+        """
         if self.strength == "peak":
             return np.full(self.start.size, self.peak_noise)
         samples = self.lasted / self.spacing
@@ -111,22 +124,25 @@ class Touches:
         return np.hypot(of_force, _SAMPLING * samples**-2.5 * self.impulse)
 
     def may_miss(self, lasted: np.ndarray | float) -> bool:
-        """True if touches that last so long, s, could have too few samples to be found."""
+        """Return True if the samples could be too few to find touches of some durations.
+
+        ``lasted`` has one or more durations, s; the shortest counts.
+        """
         shortest = float(np.min(lasted, initial=math.inf))
         return MIN_SAMPLES * self.spacing > shortest
 
 
 def located(touches: np.ndarray) -> Touches:
-    """Return the touches of events, (n,) of dtype TOUCH, in the order of their starts."""
+    """Return located touches, (n,) of dtype TOUCH, as Touches in the order of their starts."""
     t = touches[np.argsort(touches["start"], kind="stable")]
     lasted = t["end"] - t["start"]
     return Touches(t["start"], t["peak_force"], lasted, t["peak_time"], t["impulse"], t["wall"])
 
 
 def unseen_impact(travel: float) -> str:
-    """Return why an impact speed is not measured; empty if it is.
+    """Return the reason why an impact speed counts as not measured; '' if it is measured.
 
-    ``travel``: how far the tip went before the contact without poses, m.
+    ``travel`` is the distance that the tip travelled without poses just before the contact, m.
     """
     if travel <= MAX_UNSEEN_TRAVEL:
         return ""
@@ -134,19 +150,19 @@ def unseen_impact(travel: float) -> str:
 
 
 class Quiet(NamedTuple):
-    """Reading of a force sensor before the first contact."""
+    """Bias and noise of a force sensor, from its readings before the first contact."""
 
     bias: np.ndarray  # (2,), N; (n, 2) if it drifts
     sigma: float  # standard deviation of a component, N
-    threshold: float  # magnitude that noise passes in one of 1000 recordings, N
+    threshold: float  # N; the magnitude of noise exceeds it in one of 1000 recordings
 
 
 def quiet_before_contact(t: np.ndarray, force: np.ndarray) -> Quiet | None:
-    """Return bias, noise and threshold of a force (n, 2), N; None when there is too little of it.
+    """Return bias, noise and threshold of a measured force (n, 2), N, at times (n,), s.
 
-    Nothing touches at its beginning, and its zero may drift: slowly, unlike a touch.  The magnitude
-    of white noise of two components has Rayleigh's distribution: it passes k sigma with the chance
-    exp(-k^2 / 2).
+    The result is None if there are too few samples.  The recording must begin without contact.  The
+    sensor's zero may drift slowly.  The threshold assumes white noise in two components, whose
+    magnitude has a Rayleigh distribution: it exceeds k sigma with the probability exp(-k^2 / 2).
     """
     zero = _drifting_zero(t, force)
     if zero is None:
@@ -156,10 +172,10 @@ def quiet_before_contact(t: np.ndarray, force: np.ndarray) -> Quiet | None:
 
 
 def _drifting_zero(t: np.ndarray, force: np.ndarray) -> np.ndarray | None:
-    """Return the zero of a force that drifts, (n, 2), N, at times (n,), s; None if it does not.
+    """Return the zero of a force sensor that drifts, (n, 2), N, at times (n,), s.
 
-    Before the contact the zero is a running median.  After it the zero is extrapolated along a
-    line.
+    Before the contact the zero is a running median, and from the contact on it is extrapolated
+    linearly.  The result is None if no drift is found, or if there are too few samples to find it.
     """
     zero = baseline(t, force)
     quiet = _quiet(force - zero)
@@ -172,7 +188,7 @@ def _drifting_zero(t: np.ndarray, force: np.ndarray) -> np.ndarray | None:
     if quarter < _QUIET:
         return None
     moved = force[first - quarter : first].mean(axis=0) - force[:quarter].mean(axis=0)
-    # both means have noise; a drift that is less than a part of the noise changes nothing
+    # both means have noise; a drift much smaller than the noise has no effect
     limit = max(_DRIFT_DEVIATIONS * math.sqrt(2.0 / quarter), _LEAST_DRIFT) * quiet.sigma
     if float(np.abs(moved).max()) <= max(limit, 1e-9):
         return None
@@ -184,13 +200,16 @@ def _drifting_zero(t: np.ndarray, force: np.ndarray) -> np.ndarray | None:
 
 
 def _quiet(force: np.ndarray) -> Quiet | None:
-    """Return bias, noise and threshold of a force (n, 2), N, whose zero does not drift."""
+    """Return bias, noise and threshold of a force (n, 2), N, whose zero does not drift.
+
+    The result is None if there are too few samples.
+    """
     n = len(force)
     until = max(_QUIET, n // 20)
     if n < until:
         return None
     k = math.sqrt(2.0 * math.log(n / _FALSE_ALARM))
-    for _ in range(2):  # from the beginning, then from all before the contact found so
+    for _ in range(2):  # first from the beginning, then from all samples before the contact
         before = force[:until]
         bias = np.median(before, axis=0)
         sigma = float(np.median(np.abs(before - bias)) / 0.6745)
@@ -202,7 +221,10 @@ def _quiet(force: np.ndarray) -> Quiet | None:
 
 
 def above(size: np.ndarray, threshold: float) -> list[slice]:
-    """Return where a magnitude (n,) passes the threshold; each slice ends below half of it."""
+    """Return a slice for each part of a magnitude (n,) that exceeds the threshold.
+
+    A part begins and ends where the magnitude crosses half of the threshold.
+    """
     inside = np.concatenate([[False], size > 0.5 * threshold, [False]])
     starts, ends = np.flatnonzero(inside[1:] != inside[:-1]).reshape(-1, 2).T.tolist()
     parts = [slice(start, end) for start, end in zip(starts, ends, strict=True)]
@@ -210,7 +232,10 @@ def above(size: np.ndarray, threshold: float) -> list[slice]:
 
 
 def first_above(t: np.ndarray, force: np.ndarray) -> float | None:
-    """Return when a force (n, 2) first passes its noise, s; None if it never does."""
+    """Return the time at which a force (n, 2), N, first exceeds its noise, s.
+
+    The result is None if it never does, or if there are too few samples to estimate the noise.
+    """
     quiet = quiet_before_contact(t, force)
     if quiet is None:
         return None
@@ -221,11 +246,12 @@ def first_above(t: np.ndarray, force: np.ndarray) -> float | None:
 def normal_force(
     force: np.ndarray, attitude: np.ndarray, cone: Cone, wall: float = 0.0
 ) -> np.ndarray:
-    """Return the part of a force on the tip that is normal to the wall it comes from, (n,), N.
+    """Return the component of a force on the tip that is normal to the touched wall, (n,), N.
 
-    The force (n, 2), N, is in the tip's frame, whose attitude (n,), rad, is that in the cone.
-    Friction acts along the wall and leaves the normal part as it is.  Without a ``wall``, +1 or -1,
-    each sample counts for the wall that pushes its way, which turns noise into a force.
+    The force (n, 2), N, is in the sensor's axes, and ``attitude`` (n,), rad, is the attitude of
+    these axes in the cone.  Friction acts along the wall and has no normal component.  ``wall`` is
+    +1 or -1.  If it is 0, each sample counts for the wall that could cause the lateral force, which
+    makes noise appear as a force.
     """
     c, s = np.cos(attitude), np.sin(attitude)
     along = c * force[:, 0] - s * force[:, 1]
@@ -240,15 +266,17 @@ def in_force(
     attitude: np.ndarray | None = None,
     cone: Cone | None = None,
 ) -> Touches | None:
-    """Find the touches in a sampled force; None where it shows none, or is too slow for it.
+    """Find the touches in a sampled force; None if no touch is found.
 
-    The first touch with fewer than :data:`MIN_SAMPLES` samples ends the search: behind it others
-    may have been missed.  A touch starts and ends between two samples; its peak is that of a curve
-    through them (see :func:`_peak`).
+    The search ends at the first touch with fewer than :data:`MIN_SAMPLES` samples, because touches
+    after it may have been missed.  If the sampling is too slow, no touch is found at all.  A touch
+    starts and ends midway between two samples; its peak is that of a curve fitted to the samples
+    (see :func:`_peak`).
 
-    Times (n,), s, ascend; the force (n, 2), N, is in the tip's frame, with bias and noise, and
-    nothing touches at its beginning.  With the tip's attitude (n,), rad, in the cone, peak and
-    impulse are those of the normal force, else those of the magnitude, friction included.
+    Times (n,), s, ascend.  The force (n, 2), N, is in the sensor's axes, with bias and noise, and
+    must begin without contact.  If ``cone`` and the ``attitude`` of these axes in the cone, (n,),
+    rad, are given, peak and impulse are those of the normal force.  Otherwise they are those of the
+    magnitude, which includes friction.
     """
     quiet = quiet_before_contact(t, force)
     if quiet is None:
@@ -264,7 +292,7 @@ def in_force(
         across = float(net[part, 1].sum())
         # a force along the tip's axis may come from either wall, or from both
         wall = -float(np.sign(across)) if abs(across) > _ACROSS * size[part].sum() else 0.0
-        # from the sample before the touch to the one after it: the flanks belong to the impulse
+        # with the samples before and after the touch, which belong to the impulse
         with_flanks = slice(first - 1, min(end + 1, len(t)))
         values = size[with_flanks]
         if attitude is not None and cone is not None:
@@ -272,14 +300,14 @@ def in_force(
         times = t[with_flanks]
         impulse = float(0.5 * (values[1:] + values[:-1]) @ np.diff(times))
         if impulse <= 0.0:
-            continue  # a wall never pulls: a filter overshoots after a touch
+            continue  # a wall never pulls, so this is the overshoot of a filter after a touch
         peak_time, peak = _peak(times, values, quiet.sigma)
         start, stop = 0.5 * (t[first - 1] + t[first]), 0.5 * (t[end - 1] + times[-1])
         spacing.append(t[first] - t[first - 1])
         rows.append((start, peak, stop - start, peak_time, impulse, wall))
     if not rows:
         return None
-    # noise alone makes it an interval early where it passes the level that a touch begins at
+    # the start is an interval early if noise alone exceeds half of the threshold there
     early = math.exp(-0.125 * (quiet.threshold / quiet.sigma) ** 2) if quiet.sigma else 0.0
     return _touches(
         rows,
@@ -295,11 +323,15 @@ def in_force(
 def in_messages(
     t: np.ndarray, begun: np.ndarray, peak: np.ndarray, in_touch: np.ndarray
 ) -> Touches | None:
-    """Find the touches in messages that count them since the last one; None if none.
+    """Find the touches in messages that count touches; None if no touch is found.
 
-    The first message that counts two touches ends the search: it has one peak for both.  Of each
-    message, (n,): time (s, ascending), touches begun and largest force (N) since the one before,
-    and whether it touches now.
+    The search ends at the first touch that cannot be separated from another touch, e.g. at a
+    message that counts two touches, as it has only one peak for both.  Durations and impulses are
+    NaN, and walls are 0.
+
+    The arguments are (n,) each: the times of the messages, s, ascending; the number of touches
+    ``begun`` and the ``peak`` force, N, since the message before; and whether the tip is
+    ``in_touch`` at the message.
     """
     rows, spacing = [], [0.0]
     for i in np.flatnonzero(begun):
@@ -323,9 +355,10 @@ def _touches(rows: Sequence[tuple[float, ...]], **noise: Any) -> Touches:
 def _peak(t: np.ndarray, values: np.ndarray, sigma: float) -> tuple[float, float]:
     """Return time and value of the peak of a touch, s and N, from samples with noise, N.
 
-    It is the top of a cubic spline, which meets a few samples and smooths many (Reinsch, 1967).
-    The largest of many samples would read high by some sigma, and a parabola through the largest
-    of a few reads low, by 2 % where they are 50 us apart and the touch lasts 0.35 ms.
+    It is the maximum of a cubic smoothing spline (Reinsch, 1967), which passes through a few
+    samples and smooths many.  The largest of many samples would be too high by some sigma.  A
+    parabola through the largest of a few samples would be too low, by 2 % for a touch of 0.35 ms
+    and samples 50 us apart.
     """
     # imported here: the import takes a quarter of a second, and only sampled forces need it
     from scipy.interpolate import UnivariateSpline

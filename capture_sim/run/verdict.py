@@ -1,4 +1,4 @@
-"""The capture detector on a run's series, as if it had read the messages then."""
+"""Evaluation of a finished run with the capture detector, as the live detector would do it."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ TICK = 1e-6
 
 
 class LiveConditions(NamedTuple):
-    """Knowledge of the live detector about a run, and the part of the recording that it used."""
+    """Conditions under which the live detector evaluated a run, to repeat the evaluation."""
 
-    is_simulated: bool  # one clock stamps everything, and the run begins with the release
-    last: float = math.inf  # last instant that is evaluated, s since the release
-    is_cut: bool = False  # the run ended early
-    has_end: bool = True  # False: a recording without the end of its run
+    is_simulated: bool  # True: one clock for all stamps, and the run begins with the release
+    last: float = math.inf  # last instant to evaluate, s since the release
+    is_cut: bool = False  # True: the run was ended early
+    has_end: bool = True  # False: the recording lacks the end of its run
 
 
 def with_criteria(scene: Scene, recorded: Detector | None, changed: Collection[str]) -> Scene:
-    """Return the scene with the recorded criteria, but the scene's own where they were changed.
+    """Return the scene with the recorded criteria of a detector.
 
-    Without recorded criteria, all are the scene's.
+    Criteria named in ``changed``, fields of the ``detector`` part, keep the scene's values.  If
+    ``recorded`` is None, the scene is returned unchanged.
     """
     if recorded is None:
         return scene
@@ -40,7 +41,10 @@ def with_criteria(scene: Scene, recorded: Detector | None, changed: Collection[s
 
 
 def as_cut(status: CaptureStatus, scene: Scene) -> CaptureStatus:
-    """Return the last status of a recording that ended before its detector's end: undecided."""
+    """Return the last status of a recording, made undecided if the detector had not finished.
+
+    The status is unchanged if it is final, a verdict, or undecided already.
+    """
     if status.final or status.state.is_verdict or status.state is CaptureState.UNDECIDED:
         return status
     why = reason(Criteria.of(scene), Cause.NO_END, status.distance)
@@ -50,21 +54,22 @@ def as_cut(status: CaptureStatus, scene: Scene) -> CaptureStatus:
 def detect_state(
     state: np.ndarray, scene: Scene, *, is_cut: bool, has_end: bool = True
 ) -> Statuses:
-    """Evaluate exact samples, (n,) of dtype SAMPLE, at the scene's ``run.rate``.
+    """Evaluate exact samples, (n,) of dtype SAMPLE, with the criteria of a scene.
 
-    Return the statuses; the last one has the verdict.
+    Only samples on the grid of ``run.rate`` are used.  ``is_cut`` and ``has_end`` are as in
+    :class:`LiveConditions`.  Return the statuses; the last one has the verdict.
     """
     due = state[at_rate(state["t"], scene.run.rate)]
     return ExactDetector(scene).statuses(due, cut=is_cut, has_end=has_end)
 
 
 class Received(NamedTuple):
-    """A measurement as the detector has received it; times are ns since the release."""
+    """A measurement as the detector has received it; times in ns since the release."""
 
     source: Source
     stamp: int
     values: Values
-    arrival: int | None = None  # None: it shows nothing about the source's clock
+    arrival: int | None = None  # None: not to be used for comparing clocks
 
 
 def detect_received(
@@ -72,7 +77,7 @@ def detect_received(
 ) -> list[CaptureStatus]:
     """Evaluate measurements, in the order of their arrival, as the detector's node does.
 
-    Return the statuses, the final verdict last.
+    Return the statuses, the last of which has the verdict.
     """
     from capture_sim.detection.detector import CaptureDetector  # 15 ms, not for exact samples
 
@@ -87,13 +92,13 @@ def detect_received(
 
 
 def received_in(series: SeriesBySource) -> list[Received]:
-    """Return measurements of a run's simulated sensors; without motion capture, poses are exact.
+    """Return the measurements that the series of a simulated run contain, sorted by time.
 
-    They are in the order of their times, and as exact as the sensors.
+    Each quantity is read from its sensor if there is one, else from the exact state.
     """
     received = []
     for source, quantities in _QUANTITIES.items():
-        # a sensor's series before the exact one
+        # a sensor's series is preferred to the exact one
         names = (min(series[name], key=lambda of: of == STATE) for name in quantities)
         chosen = [series[q][name] for q, name in zip(quantities, names, strict=True)]
         stamps = np.rint(chosen[0].t * 1e9).astype(np.int64).tolist()
