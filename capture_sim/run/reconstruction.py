@@ -193,14 +193,14 @@ def _walls_during(touches: Touches, t: np.ndarray) -> np.ndarray:
 def touches_in_force(found: Touches) -> np.ndarray:
     """Return touches that were found in a force as records, (m,) of dtype TOUCH.
 
-    The approach speed and the dissipated energy are NaN, because they were not measured.  An
-    unknown wall is 0.
+    The approach speed, the dissipated energy and the rate ratio are NaN, because they were not
+    measured.  An unknown wall is 0.
     """
     touches = np.zeros(len(found.start), dtype=TOUCH)
     touches["start"], touches["end"] = found.start, found.start + found.lasted
     touches["peak_force"], touches["peak_time"] = found.peak, found.peak_time
     touches["impulse"], touches["wall"] = found.impulse, found.wall
-    touches["approach_speed"] = touches["dissipated"] = np.nan
+    touches["approach_speed"] = touches["dissipated"] = touches["rate_ratio"] = np.nan
     return touches
 
 
@@ -209,7 +209,7 @@ def touches_in_samples(samples: np.ndarray, series: Mapping[str, Series]) -> np.
 
     Two series add detail if they exist.  ``touches_begun`` shows touches that began and ended
     between two samples, and ``peak_force`` has the largest force since the sample before.  Without
-    a measured force, peaks and impulses are NaN.
+    a measured force, peaks and impulses are NaN, and quantities that are never measured always are.
     """
     t = samples["t"]
     aligned = Aligned(t, series)
@@ -234,7 +234,7 @@ def touches_in_samples(samples: np.ndarray, series: Mapping[str, Series]) -> np.
         touch["wall"] = 1 if wider[0] > wider[1] else -1
         touch["peak_force"], touch["peak_time"] = force[peak], t[peak]
         touch["impulse"] = _trapezoid(t[first : last + 1], force[first : last + 1])
-        touch["approach_speed"] = touch["dissipated"] = np.nan
+        touch["approach_speed"] = touch["dissipated"] = touch["rate_ratio"] = np.nan
         if not has_force:
             touch["peak_force"] = touch["impulse"] = np.nan
     return touches

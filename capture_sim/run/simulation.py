@@ -206,11 +206,6 @@ def _judged_as(integration: Integration, statuses: Statuses) -> _Judged:
     return _Judged(statuses, Integrated(integration.t_end, integration.energy_residual))
 
 
-def _judged_again(scene: Scene) -> _Judged:
-    (memory,) = kept.memories(1)
-    return _judged(Integration(_untraced(scene), memory))
-
-
 def _untraced(scene: Scene) -> Scene:
     if not scene.run.trace:
         return scene

@@ -34,6 +34,9 @@ from capture_sim.viewing.source import (
     verdict,
 )
 
+#: Quantities of a touch that no sensor measures.
+UNMEASURED = ("approach_speed", "dissipated", "rate_ratio")
+
 
 @pytest.fixture(scope="module")
 def run():
@@ -89,6 +92,8 @@ def test_bag_without_a_scene_is_the_run_it_was(run, recorded, tmp_path, topics):
         peak = seen.touches["peak_force"].max()
         assert peak == pytest.approx(run.touches["peak_force"].max())
         assert seen.samples["string_tension"] == pytest.approx(every["string_tension"])
+    assert len(seen.touches)
+    assert all(np.isnan(seen.touches[name]).all() for name in UNMEASURED)
 
 
 @pytest.mark.parametrize(
@@ -234,6 +239,7 @@ def test_touches_are_those_that_the_load_cell_shows_everywhere(recorded, tmp_pat
     assert touch["start"] == pytest.approx(begin, abs=0.011)
     assert touch["end"] - touch["start"] == pytest.approx(lasted, abs=0.021)
     assert touch["wall"] == first_touch(seen.events).wall == wall
+    assert all(np.isnan(touch[name]) for name in UNMEASURED)
     # the normal force that the axis names, not the magnitude
     half_angle = seen.scene.cone.half_angle
     normal = 0.8 * math.sin(half_angle) + 0.6 * abs(wall) * math.cos(half_angle)
