@@ -1,4 +1,4 @@
-"""Loading of the compiled kernels; they are compiled once for each version."""
+"""Loading of the compiled kernels, which are compiled once for each version of capture_sim."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The events of a run, from the engine's records."""
+"""The events of a run, made from the records in the engine's log."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from capture_sim.dynamics.samples import Event, EventKind
 
 
 def events_in(log: np.ndarray) -> Iterator[Event]:
-    """Yield the events of records of the engine's log, (n,)."""
+    """Yield an Event for each record of the engine's log (n,), in order."""
     columns = (log[name].tolist() for name in ("kind", "t", "which", "value"))
     for number, (code, t, which, value) in enumerate(zip(*columns, strict=True)):
         kind = EventKind(code)
@@ -23,7 +23,11 @@ def events_in(log: np.ndarray) -> Iterator[Event]:
 
 
 class EventLog(Sequence[Event]):
-    """Events in order, each an object once it is read: a run with many touches has hundreds."""
+    """Sequence of all events of a run, in order.
+
+    Objects are made from the engine's logs only when events are read, because a run with many
+    touches has hundreds of events.  ``first``: events that come before those of ``logs``.
+    """
 
     def __init__(self, first: Sequence[Event], logs: Sequence[np.ndarray]) -> None:
         self._first, self._logs = tuple(first), tuple(logs)
@@ -36,7 +40,7 @@ class EventLog(Sequence[Event]):
         return len(self._first) + sum(map(len, self._logs))
 
     def __iter__(self) -> Iterator[Event]:
-        """Yield the events in order; each Event is made when it is reached."""
+        """Yield the events in order; each Event is made only when the iteration reaches it."""
         if "_all" in self.__dict__:
             yield from self._all
             return
@@ -51,5 +55,5 @@ class EventLog(Sequence[Event]):
     def __getitem__(self, index: slice) -> tuple[Event, ...]: ...
 
     def __getitem__(self, index: int | slice) -> Event | tuple[Event, ...]:
-        """Return one event, or some."""
+        """Return the event at an index, or a tuple of the events in a slice."""
         return self._all[index]

@@ -1,4 +1,4 @@
-"""Events in words."""
+"""Description of an event in words, for :attr:`Event.detail`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ _OF_VEHICLE = (*(EventKind.AT_REST, EventKind.MOVING, EventKind.THRUST_ON, Event
 
 
 def event_text(kind: EventKind, which: int, value: float) -> str:
-    """Return an event in words; ``which`` is its wall, vehicle or stop."""
+    """Return the description of an event in words; empty for a kind without a description.
+
+    ``which``: wall (+1 or -1; 0: the probe's slide), vehicle (1: chaser) or stop (negative:
+    compressed) of the event.
+    ``value``: the quantity in the text in SI units, e.g. a speed or a force.
+    """
     wall = "+y wall" if which > 0 else "-y wall"
     stop = "compressed" if which < 0 else "extended"
     if kind is EventKind.LANDED:

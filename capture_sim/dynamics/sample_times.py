@@ -1,4 +1,4 @@
-"""Times at which a run is sampled, s since the release."""
+"""Times at which a run is sampled, s since the release: checks, and continuation to the end."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from capture_sim.errors import SceneError
 
 
 def to_the_end(times: np.ndarray) -> np.ndarray:
-    """Return sample times (n,) and one more, that no run reaches, (n + 1,): up to it a run ends."""
+    """Return sample times (n,) with infinity appended, (n + 1,), so that a run goes on to its end.
+
+    No run reaches the last time, so it gives no sample.
+    """
     return np.append(times, np.inf)
 
 
@@ -21,7 +24,8 @@ def check_times(
 ) -> np.ndarray:
     """Return sample times, s since the release, as an array (n,).
 
-    SceneError if they are not finite and ascending, greater than ``after`` and at most ``t_end``.
+    Raise SceneError unless they are finite, ascending, not negative, greater than ``after`` and at
+    most ``t_end``.
     """
     try:
         t = np.ascontiguousarray(times, dtype=float)

@@ -1,4 +1,4 @@
-"""The wrenches of a rig: which of them are used, and the load cell's bias and noise."""
+"""The check of each wrench that a rig returns, and the load cell's bias and noise at rest."""
 
 from __future__ import annotations
 
@@ -13,21 +13,27 @@ from capture_sim.hardware.law import NO_WRENCH, TipState, Wrench
 
 
 class Answer(NamedTuple):
-    """A wrench, its stamp (s), and the measured tip; :meth:`Answers.offer` subtracts the bias."""
+    """A wrench of the rig, with the stamp (s) of the position that it answers, and the tip.
+
+    ``wrench`` is the load cell's reading, or the reading without bias if :meth:`Answers.offer`
+    returned the answer.  ``tip`` is the tip's measured state; None if the rig does not send it.
+    """
 
     stamp: float
     wrench: Wrench
     tip: TipState | None
 
 
-#: A stamp so far ahead is of a wall clock, s.
+#: A stamp further than this ahead of the loop's time comes from a wall clock, s.
 _CLOCK = 1e6
 
 
 class Answers:
-    """The rig's answers: at rest bias and noise are taken, then each is checked.
+    """Checks the answers of a rig, and subtracts the load cell's bias from their wrenches.
 
-    ``start`` (s) is the stamp of the first position.
+    The answers to the first position, at rest, give bias and noise in :meth:`tare`.  ``start`` (s)
+    is the stamp of the first position.  ``latest`` is the newest accepted answer, ``rejections``
+    the number of rejected answers by reason.
     """
 
     def __init__(self, guard: Guard, start: float = 0.0) -> None:
@@ -42,15 +48,18 @@ class Answers:
 
     @property
     def n_at_rest(self) -> int:
-        """How many answers to the first position have come."""
+        """Number of answers at rest that have been collected for :meth:`tare`."""
         return len(self._rest)
 
     def forget_rest(self) -> None:
-        """Begin the answers at rest again."""
+        """Discard the answers at rest that have been collected so far."""
         self._rest.clear()
 
     def tare(self) -> None:
-        """Take bias and noise from the answers at rest; SafeStopError beyond the bias's limit."""
+        """Compute bias and noise of the load cell from the answers at rest.
+
+        The bias is the median of the wrenches.  Raise SafeStopError if its force exceeds the limit.
+        """
         rest = np.array(self._rest)
         self.bias = Wrench(*np.median(rest, axis=0).tolist())
         self.noise = float(rest[:, :3].std(axis=0).max())
@@ -59,17 +68,19 @@ class Answers:
         self.latest = Answer(self._start, NO_WRENCH, None)
 
     def tared(self, wrench: Wrench) -> Wrench:
-        """Return a reading without the bias."""
+        """Return a reading of the load cell minus the bias."""
         return Wrench(*(a - b for a, b in zip(wrench, self.bias, strict=True)))
 
     def offer(
         self, stamp: float, now: float, wrench: Wrench, tip: TipState | None
     ) -> Answer | None:
-        """Return the answer if it can be used; else count the reason.
+        """Return an answer of the rig, without bias, or None if the loop cannot use it.
 
-        ``stamp`` (s) is the stamp of the position that it answers, ``now`` (s) the loop's time, and
-        ``tip`` the position where the rig has measured its tip.  SafeStopError if force or torque
-        exceeds its limit, whatever the stamp is.
+        Before :meth:`tare` the wrench is collected as a reading at rest, and None is returned.  A
+        rejected answer is counted by its reason.  ``stamp`` (s) is the stamp of the position that
+        is answered, ``now`` (s) the loop's time.  ``tip`` is the state of the tip that the rig has
+        measured, None without a measurement.  After :meth:`tare`, raise SafeStopError if force or
+        torque exceeds its limit, even if the stamp is not valid.
         """
         is_finite = all(map(math.isfinite, wrench))
         if self._is_tared and is_finite:
@@ -94,12 +105,12 @@ class Answers:
         return None
 
     def reject(self, reason: str) -> None:
-        """Count an answer that cannot be used."""
+        """Count an answer that cannot be used, by its reason."""
         self.rejections[reason] += 1
         self._last_rejection = reason
 
     def check_latency(self, now: float) -> None:
-        """Raise SafeStopError if the latest answer is too old."""
+        """Raise SafeStopError if the latest accepted answer is too old at the time ``now`` (s)."""
         n = sum(self.rejections.values())
         hint = f"; {n} wrenches rejected, the last one {self._last_rejection}" if n else ""
         self._guard.check_latency(now - self.latest.stamp, hint)

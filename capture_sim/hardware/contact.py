@@ -1,4 +1,4 @@
-"""Contact of the rig's tip, by the measured force."""
+"""Detection of contacts of the rig's tip from the measured force."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections import deque
 
 
 class RigContact:
-    """Whether the rig is in contact.
+    """Detector of contacts of the rig's tip; ``is_on`` is True during a contact.
 
-    ``threshold``: force at which a contact begins, N; it ends at half of it.  ``peak_force``: the
-    largest force in contacts, N.
+    A contact begins at the force ``threshold`` (N).  It ends after two successive forces below half
+    of the threshold.  ``peak_force`` is the largest force in all contacts so far, N.
     """
 
     def __init__(self, threshold: float) -> None:
@@ -20,12 +20,12 @@ class RigContact:
 
     @property
     def force(self) -> float | None:
-        """Force of the contact, N; None outside of contacts."""
+        """Larger of the last two measured forces, N, during a contact; None outside contacts."""
         return max(self._latest) if self.is_on else None
 
     def add(self, force: float) -> None:
-        """Note a measured force, N."""
-        # a second sample below the threshold ends a contact: one may be the noise's
+        """Add a measured force (N), and update whether the rig is in contact."""
+        # two samples below half of the threshold end a contact, because a single one may be noise
         self._latest.append(force)
         if force >= self.threshold:
             self.is_on = True

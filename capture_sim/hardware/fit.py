@@ -1,4 +1,7 @@
-"""Fit of a law of contact to one touch of the rig: stiffness, loss, position of the wall, lag."""
+"""Fit of a contact law to the rig's measurements in one contact.
+
+The fit gives stiffness, damping, position of the wall, friction and the lag of the force.
+"""
 
 from __future__ import annotations
 
@@ -13,24 +16,24 @@ from capture_sim.hardware.law import WallLaw
 #: Standard deviations before the first touch: ln stiffness, loss at the approach speed, offset
 #: (m), lag (s).
 _PRIOR_DEVIATIONS = np.array([2.3, 3.0, 2e-4, 5e-3])
-#: By at least so much a contact may change from touch to touch.
+#: Smallest standard deviations of the parameters as a prior of the next contact: drift.
 _DRIFT = np.array([0.05, 0.1, 2e-6, 2e-4])
-#: Differences by which the slopes against these are found.
+#: Steps of the finite differences for the derivatives with respect to these parameters.
 _DIFFERENCES = np.diag([1e-6, 1e-6, 1e-9, 1e-5])
-#: A touch of a law is not known better than this share of its peak force.
+#: Smallest standard deviation of a force in the fit, as a share of the peak force.
 _MODEL_ERROR = 1e-3
 _MAX_LOSS = 30.0  # damping times speed over stiffness; restitution 0.03
 _MAX_ITERATIONS = 30
-#: Mean square of the misfit over the noise at which no other beginning is tried.
+#: Cost per sample, in squared standard deviations, below which no further first guess is tried.
 _FOUND = 2.0
 
 
 @dataclass(frozen=True)
 class LawEstimate:
-    """A fitted law with its uncertainty."""
+    """A contact law with its uncertainty; ``deviations`` is None if the law was not fitted."""
 
     law: WallLaw  # of the walls; never generates energy
-    lag: float = 0.0  # s, by which the force is later than the tip's position that came with it
+    lag: float = 0.0  # s, delay of the force relative to the tip's position of the same stamp
     lag_deviation: float = math.inf  # s, standard deviation
     # restitution, restitution_deviation: at the approach speed of the touch
     restitution: float = 1.0
@@ -43,15 +46,16 @@ class LawEstimate:
 def fit_touch(
     samples: np.ndarray, prior: LawEstimate, speed: float, noise: float, threshold: float
 ) -> Generator[None, None, LawEstimate]:
-    """Fit a law to a touch; yields after each iteration, so that a loop need not wait for it.
+    """Fit a contact law to the samples of one contact; the generator returns the estimate.
 
-    Least squares with the law of ``prior`` as one more measurement (Levenberg and Marquardt's
-    steps); its exponent stays.  The force is later than the tip by a lag.  Its shape distinguishes
-    it from a loss: a lag shifts the wall between entering and leaving, a loss does not.
+    It yields in each iteration, so that the loop can continue during the fit.  Levenberg and
+    Marquardt's method minimises the squared misfit of the force, with ``prior`` as one more
+    measurement.  The exponent is not fitted.  The fit can separate the force's lag from damping:
+    with a lag only, the wall seems to be elsewhere on leaving than on entering.
 
-    ``samples`` (n, 6): time (s), penetration (m, below 0 outside) and its rate, normal and
-    tangential force (N), slip (m/s); at least one force reaches ``threshold`` (N).  ``speed`` (m/s)
-    is that of the approach, ``noise`` (N) the standard deviation of a force.
+    ``samples`` (n, 6): time (s), penetration (m, below 0 outside) and its rate (m/s), normal and
+    tangential force (N), slip (m/s).  At least one normal force must reach ``threshold`` (N).
+    ``speed`` (m/s) is the approach speed, ``noise`` (N) the standard deviation of a force.
     """
     t, depth, rate, force, tangential, slip = samples.T
     p = prior.law.exponent
@@ -129,7 +133,11 @@ def _first_guesses(
     exponent: float,
     mean: np.ndarray,
 ) -> Iterator[np.ndarray]:
-    """Yield where the fit may begin: the force's first and last sample give wall and lag."""
+    """Yield initial parameters (4,) of the fit: ln stiffness, loss, offset (m) and lag (s).
+
+    The loss is damping times approach speed over stiffness.  The first and the last sample at or
+    above the threshold give offset and lag.
+    """
     loaded = np.flatnonzero(force >= threshold)
     first, last = loaded[0], loaded[-1]
     speeds = rate[first] - rate[last]
@@ -148,7 +156,10 @@ def _first_guesses(
 def _interpolated(
     t: np.ndarray, x: np.ndarray, v: np.ndarray, times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return Hermite's cubics through x with the slopes v, and their slopes; straight outside."""
+    """Return values and slopes, at given times, of the Hermite cubics through x with slopes v.
+
+    Outside the range of t, the continuation is linear.
+    """
     inside = np.clip(times, t[0], t[-1])
     i = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, len(t) - 2)
     h = t[i + 1] - t[i]
@@ -163,6 +174,9 @@ def _interpolated(
 def _friction(
     force: np.ndarray, tangential: np.ndarray, slip: np.ndarray, prior: WallLaw, sigma: float
 ) -> float:
-    """Return the coefficient of friction, by least squares with the prior as a measurement."""
+    """Return the coefficient of friction that fits the tangential forces by least squares.
+
+    The friction of ``prior`` counts as one more measurement, with a standard deviation of 1.
+    """
     drive = -force * prior.friction_shares(slip) / sigma
     return max(float((drive @ tangential / sigma + prior.friction) / (drive @ drive + 1.0)), 0.0)

@@ -1,4 +1,4 @@
-"""The lag of a loop: from a position that is sent to the effect of its wrench on the vehicles."""
+"""Measured lags of a loop: the latency of the wrenches, and the lag of the rig's servo."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections import deque
 
 from capture_sim.hardware.law import TipState
 
-#: A lag is the median of so many measurements.
+#: Number of latest measurements whose median is the lag.
 N_LATEST = 25
-#: A tip that is slower than this shows no lag, m/s.
+#: Speed up to which the tip is too slow to measure the servo lag, m/s.
 MIN_SPEED = 1e-3
 
 
 class Lags:
-    """Latency and servo lag of a loop.
+    """Latency and servo lag of a loop, as medians of the latest measurements.
 
-    ``servo``: by how much the rig's measured tip is behind the position that it answers, s; it is
-    updated outside of contacts.
+    ``servo`` is the time (s) by which the rig's measured tip is behind the position that was sent.
+    It is 0 before the first :meth:`update_servo`.
     """
 
     def __init__(self) -> None:
@@ -27,21 +27,24 @@ class Lags:
 
     @property
     def latency(self) -> float:
-        """From a position to the use of its wrench, s, by the stamps."""
+        """Median time from a position to the use of its wrench, s; 0 without a measurement."""
         return statistics.median(self._latencies) if self._latencies else 0.0
 
     def add_latency(self, latency: float) -> None:
-        """Note the latency of the wrench in use, s."""
+        """Add the latency (s) of the wrench that acts in the present step."""
         self._latencies.append(latency)
 
     def add_tip(self, sent: TipState, measured: TipState) -> None:
-        """Note the rig's measured tip, outside of contacts, and the position that it answers."""
+        """Add a measurement of the servo lag: the position sent, and the tip measured in answer.
+
+        It is the distance behind, along the velocity, over the speed.  A slow tip is not used.
+        """
         speed2 = sent.vx**2 + sent.vy**2
         if speed2 > MIN_SPEED**2:
             behind = (sent.x - measured.x) * sent.vx + (sent.y - measured.y) * sent.vy
             self._servo_lags.append(max(behind / speed2, 0.0))
 
     def update_servo(self) -> None:
-        """Update the servo lag by the measured tips."""
+        """Set ``servo`` to the median of the latest measurements of the servo lag."""
         if self._servo_lags:
             self.servo = statistics.median(self._servo_lags)

@@ -26,16 +26,16 @@ from capture_sim.messages.topics import Rate, Topic
 CONTACT_RIG = "contact_rig"
 LOOP_SIMULATOR = "loop_simulator"
 
-#: Where the tip is to be in the cone.
+#: Commanded state of the tip in the frame target/cone.
 TIP = Topic("loop/tip", "nav_msgs/msg/Odometry", (LOOP_SIMULATOR,), Rate.CONTROL, depth=1)
-#: What acts on the tip; stamped with the stamp of the position that it answers.
+#: Wrench on the tip, with the stamp of the position that it answers.
 TIP_WRENCH = Topic(
     "loop/wrench", "geometry_msgs/msg/WrenchStamped", (CONTACT_RIG,), Rate.CONTROL, depth=1
 )
-#: Where the rig has measured its tip when it read that wrench, with the same stamp; optional.
+#: Measured state of the rig's tip at the reading of a wrench, with that wrench's stamp; optional.
 RIG_TIP = Topic("loop/rig_tip", "nav_msgs/msg/Odometry", (CONTACT_RIG,), Rate.CONTROL, depth=1)
 
-#: Why the rig must hold its position; empty while the loop runs.
+#: Reason for which the rig must hold its position; empty while the loop runs.
 HOLD = Topic(
     "loop/hold", "std_msgs/msg/String", (LOOP_SIMULATOR,), Rate.ONCE, depth=1, transient_local=True
 )
@@ -47,7 +47,10 @@ def stamp_of(message: Any) -> float:
 
 
 def tip_message(make: Messages, t: float, tip: TipState) -> bytes:
-    """Return Odometry of the tip against the cone: pose in its frame, twist in the tip's."""
+    """Return the tip's state as Odometry: pose in target/cone, twist in the tip's own axes.
+
+    ``t`` is the stamp, s.
+    """
     columns = odometry(
         np.array([[tip.x, tip.y, tip.theta]]), np.array([[tip.vx, tip.vy, tip.omega]])
     )
@@ -55,7 +58,10 @@ def tip_message(make: Messages, t: float, tip: TipState) -> bytes:
 
 
 def wrench_message(make: Messages, t: float, wrench: Wrench) -> bytes:
-    """Return WrenchStamped on the tip, about its centre, in the axes of target/cone."""
+    """Return a wrench as WrenchStamped: on the tip, about its centre, in the axes of target/cone.
+
+    ``t`` is the stamp, s.
+    """
     names = [f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz"]
     columns = {name: np.array([value]) for name, value in zip(names, wrench, strict=True)}
     return _stamped(make, "geometry_msgs/msg/WrenchStamped", t, columns)
@@ -67,7 +73,10 @@ def _stamped(make: Messages, type_name: str, t: float, columns: Columns, **fixed
 
 
 def tip_of(message: Any) -> TipState:
-    """Return the tip of a message; MessageError in another frame or if it is not finite."""
+    """Return the tip's state from Odometry, with the velocity turned into the axes of target/cone.
+
+    Raise MessageError if the frame is not target/cone or a value is not finite.
+    """
     _check_frame(message)
     pose, twist = message.pose.pose, message.twist.twist
     planar = pose_values(pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w)
@@ -79,7 +88,7 @@ def tip_of(message: Any) -> TipState:
 
 
 def wrench_of(message: Any) -> Wrench:
-    """Return the wrench of a message; MessageError in another frame than target/cone."""
+    """Return the wrench from WrenchStamped; raise MessageError if the frame is not target/cone."""
     _check_frame(message)
     force, torque = message.wrench.force, message.wrench.torque
     return Wrench(force.x, force.y, force.z, torque.x, torque.y, torque.z)

@@ -1,4 +1,4 @@
-"""When positions are sent: at a steady rate, never hurried, and stopped if too many are late."""
+"""Pacing of the loop: when each position is sent to the rig, and a stop if too many are late."""
 
 from __future__ import annotations
 
@@ -11,18 +11,21 @@ from pathlib import Path
 
 from capture_sim.hardware.stage import SafeStopError
 
-#: Shares of a step: lateness up to this is caught up with, so that positions are never closer.
+#: Shares of a period: a position later than the first is late and shifts all later ones; two
+#: positions are at least the second apart.
 MAX_JITTER, MIN_INTERVAL = 0.2, 0.8
-#: The share of late steps is that of so many latest steps, and known after so many.
+#: Number of latest steps in which the share of late steps is computed, and number of steps before
+#: which it is not checked.
 _WINDOW, _FIRST = 1000, 200
 
 
 class LoopPacer:
-    """The times of positions, one every ``period`` (s, wall).
+    """Determines when to send each position, one every ``period`` (s, wall time).
 
-    Before each: wait :meth:`time_to_work`, work, wait :meth:`time_to_send`, :meth:`release`, send.
-    A late position shifts all later ones.  ``max_lateness`` (s) of a position, ``max_late_share``
-    of late ones: beyond them the loop stops.
+    For each position: wait :meth:`time_to_work`, compute the position, call :meth:`work_done`, wait
+    :meth:`time_to_send`, call :meth:`release`, and send.  A late position shifts all later ones.
+    The loop stops if a position is later than ``max_lateness`` (s), or if the share of late
+    positions among the latest exceeds ``max_late_share``.  ``clock`` returns the wall time, s.
     """
 
     def __init__(
@@ -44,22 +47,28 @@ class LoopPacer:
         self.largest_lateness = 0.0  # s
 
     def time_to_work(self) -> float:
-        """Return how long to wait before the work on the next position, s."""
+        """Return how long to wait before computing the next position, s.
+
+        The median of the latest computing times gives the time that this takes.
+        """
         lead = min(statistics.median(self._work_times), self.period)
         self._work_begin = max(self._due - lead, self._clock())
         return max(self._work_begin - self._clock(), 0.0)
 
     def time_to_send(self) -> float:
-        """Return how long to wait before the next position may be sent, s; 0 if it may be now."""
+        """Return how long to wait before sending the next position, s; 0 if it is due."""
         earliest = max(self._due, self._last + MIN_INTERVAL * self.period)
         return max(earliest - self._clock(), 0.0)
 
     def work_done(self) -> None:
-        """Take note that the position is known."""
+        """Record that the next position has been computed; call it before :meth:`time_to_send`."""
         self._work_times.append(self._clock() - self._work_begin)
 
     def release(self) -> None:
-        """Take note that the position is sent now; SafeStopError if it or too many are late."""
+        """Record that a position is sent now, and set when the next one is due.
+
+        Raise SafeStopError if the position is too late, or if too many of the latest were late.
+        """
         now = self._clock()
         lateness = now - self._due
         is_late = lateness > MAX_JITTER * self.period
@@ -85,17 +94,20 @@ class LoopPacer:
 
     @property
     def rate(self) -> float:
-        """Positions per second (wall) so far."""
+        """Mean number of positions per second of wall time so far."""
         return self.steps / max(self._last - self._start, 1e-9)
 
     @property
     def late_share(self) -> float:
-        """Share of all positions that were late."""
+        """Share of late positions among all positions so far, 0 to 1."""
         return self.late_steps / max(self.steps, 1)
 
 
 def request_priority(priority: int) -> str:
-    """Ask for SCHED_FIFO with this priority for all threads; return why not, empty if granted."""
+    """Request SCHED_FIFO scheduling with a priority for all threads of this process.
+
+    Return the reason for a refusal with a remedy, empty if the request was granted.
+    """
     try:
         for thread in Path("/proc/self/task").iterdir():
             os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))

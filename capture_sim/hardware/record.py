@@ -1,7 +1,8 @@
-"""A run in the loop as an ordinary Run, made after its end.
+"""The record of a loop: the vehicles' samples, turned into an ordinary Run after the end.
 
-The samples of the vehicles are the loop's own.  Touches are found in the samples of the force on
-the tip, from the rig or from a law.  Between two samples the force is unknown.
+There is one sample per step of the loop.  Touches are determined from the force on the tip in these
+samples, whether the force came from the rig or from a law.  Their start and end are therefore not
+known more exactly than a step.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from capture_sim.run.reconstruction import touches_in_samples
 from capture_sim.run.run import ExactRun, Run
 from capture_sim.scene.parts import PlanarState, Scene
 
-#: Events of the stage that its record keeps; the touches of a law are found as those of a rig.
+#: Events of the stage that the record keeps.  Touches are always determined from the samples.
 _KEPT = {
     *(EventKind.STOP_HIT, EventKind.STOP_LEFT, EventKind.SEATED, EventKind.UNSEATED),
     EventKind.LATCHED,
@@ -29,7 +30,7 @@ _KEPT = {
 
 
 class LoopRecord:
-    """Collects a stage's samples, one a step from its start on."""
+    """Collects one sample of a stage per step, beginning with the stage's present state."""
 
     def __init__(self, stage: LoopStage) -> None:
         self._stage = stage
@@ -37,11 +38,11 @@ class LoopRecord:
         self.add()
 
     def add(self) -> None:
-        """Keep the state after a step."""
+        """Add the stage's present state as a sample; to be called after each step."""
         self._samples.append(self._stage.sample)
 
     def run(self, failure: str = "") -> Run:
-        """Return the run so far; ``failure``: why it stopped early."""
+        """Return the recorded steps as a Run; ``failure``: reason of an early stop, or empty."""
         samples = joined(self._samples)
         scene = _scene_of(self._stage, samples[0])
         samples["t"] = np.arange(len(samples)) / scene.run.state_rate  # to the last bit
@@ -61,7 +62,10 @@ class LoopRecord:
 
 
 def _scene_of(stage: LoopStage, first: np.void) -> Scene:
-    """Return the scene as it began in the loop: without rail, sampled at each step."""
+    """Return the stage's scene with the first sample as initial state, without rail and string.
+
+    Its states are sampled at each step of the loop.
+    """
     scene, rate = stage.scene, 1.0 / stage.step
     q, v = first["q"].tolist(), first["v"].tolist()
     initial = replace(
@@ -75,7 +79,10 @@ def _scene_of(stage: LoopStage, first: np.void) -> Scene:
 
 
 def _fill_walls(samples: np.ndarray, walls: Walls) -> None:
-    """Give each force on the tip to the wall that the tip is deepest in."""
+    """Set normal force, friction, walls and phase of the samples from the force on the tip.
+
+    Each force is attributed to the wall that the tip is deepest in, or closest to.
+    """
     force = samples["contact_force"]
     for name in ("normal_force", "friction_force", "walls"):
         samples[name] = 0.0
@@ -93,7 +100,10 @@ def _fill_walls(samples: np.ndarray, walls: Walls) -> None:
 
 
 def _fill_speeds(touches: np.ndarray, samples: np.ndarray) -> None:
-    """Give touches the speed at which the tip came, and samples the touches begun."""
+    """Set the approach speed of the touches, and the number of touches begun in the samples.
+
+    The approach speed is the penetration rate in the sample before the touch.
+    """
     for touch in touches:
         first = int(samples["t"].searchsorted(touch["start"]))
         side = 0 if touch["wall"] > 0 else 1
@@ -102,7 +112,7 @@ def _fill_speeds(touches: np.ndarray, samples: np.ndarray) -> None:
 
 
 def _events(samples: np.ndarray, touches: np.ndarray) -> list[Event]:
-    """Return release, touches and end."""
+    """Return the events RELEASE, END, and TOUCH and LIFT_OFF of each touch, not sorted by time."""
 
     def event(kind: EventKind, t: float, touch: np.void | None = None) -> Event:
         sample = samples[min(int(samples["t"].searchsorted(t)), len(samples) - 1)]

@@ -1,4 +1,4 @@
-"""The report of a loop: its measurements, as data and in words."""
+"""The report of a loop: its measured values as a dict for JSON, and as lines of text."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ from capture_sim.hardware.episodes import ContactEpisode
 from capture_sim.hardware.loop import Loop
 from capture_sim.hardware.pacing import LoopPacer
 
-#: Latencies and round trips that are kept.
+#: Number of latest latencies and of latest round trips that are stored.
 _KEPT = 100_000
 
 
 class Timing:
-    """Latencies in simulated time, and round trips in wall time, of each position."""
+    """Latencies in simulated time and round trips in wall time, s.
+
+    ``latencies`` has the age of the wrench in use at each step; the caller adds it.
+    ``round_trips`` has the time from each position to its answer, if the answer came.
+    """
 
     def __init__(self) -> None:
         self._sent: deque[tuple[float, float]] = deque(maxlen=_KEPT)  # stamp, s (wall)
@@ -24,11 +28,14 @@ class Timing:
         self.round_trips: deque[float] = deque(maxlen=_KEPT)
 
     def sent(self, stamp: float, now: float) -> None:
-        """Note when (s, wall) a position was sent."""
+        """Record that the position with a stamp (s) was sent at the wall time ``now`` (s)."""
         self._sent.append((stamp, now))
 
     def answered(self, stamp: float, now: float) -> None:
-        """Note when (s, wall) a position was answered; older ones are forgotten."""
+        """Record that the position with a stamp (s) was answered at the wall time ``now`` (s).
+
+        Positions with older stamps then no longer wait for an answer.
+        """
         while self._sent and self._sent[0][0] < stamp - 1e-9:
             self._sent.popleft()
         if self._sent and self._sent[0][0] < stamp + 1e-9:
@@ -36,7 +43,11 @@ class Timing:
 
 
 def report_of(loop: Loop, pacer: LoopPacer | None, timing: Timing, stopped: str) -> dict[str, Any]:
-    """Return the measured values, of types that JSON has; None for an unknown value."""
+    """Return the measured values of a loop for its JSON report, None for an unknown value.
+
+    Arrays remain NumPy arrays.  ``pacer``: None if the loop did not start.  ``stopped``: reason of
+    a safe stop, or empty.
+    """
     rejections = dict(loop.answers.rejections)
     is_known = loop.known_lag is not None
     return {
@@ -80,7 +91,7 @@ def _entry(episode: ContactEpisode) -> dict[str, Any]:
 
 
 def summary(loop: Loop, report: dict[str, Any]) -> list[str]:
-    """Return the lines that end a loop."""
+    """Return the lines for the log at the end of a loop; ``report`` is from :func:`report_of`."""
     latencies = sorted(report["ages"]) or [0.0]
     whole = f"{loop.lag * 1e3:.1f} ms"
     if loop.known_lag is None:
@@ -103,7 +114,7 @@ def summary(loop: Loop, report: dict[str, Any]) -> list[str]:
 
 
 def _next_law(loop: Loop) -> str:
-    """Return the fitted law as parameters of the node, to paste; empty without a fit."""
+    """Return the fitted law as parameters of a loop_simulator command line; empty without a fit."""
     if loop.estimate.deviations is None:
         return ""
     law = loop.estimate.law

@@ -1,4 +1,4 @@
-"""A rig in software: a servo that carries the tip, a load cell, walls, and the way to the loop."""
+"""A simulated contact rig: a servo that moves the tip, walls, a load cell, and the transport."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ _SHARE = Range(0.0, 1.0)
 
 @dataclass(frozen=True)
 class Servo:
-    """Drive of the tip: x'' = w^2 (u(t - delay) - x) - 2 zeta w x', with w = 2 pi bandwidth."""
+    """Servo of the tip: x'' = w^2 (u(t - delay) - x) - 2 zeta w x', with w = 2 pi bandwidth.
+
+    u is the commanded position, x the position of the tip.
+    """
 
     bandwidth: float = quantity(
         "Hz", Range(0.0, 1e4), default=10.0, doc="bandwidth; 0: the tip is where it is commanded"
@@ -33,7 +36,7 @@ class Servo:
 
     @property
     def lag(self) -> float:
-        """Lag of the tip in a steady motion, s."""
+        """Time by which the tip is behind a command of constant velocity, s."""
         if not self.bandwidth:
             return self.delay
         return self.delay + 2.0 * self.damping_ratio / (2.0 * math.pi * self.bandwidth)
@@ -41,7 +44,7 @@ class Servo:
 
 @dataclass(frozen=True)
 class Cell:
-    """The load cell."""
+    """Load cell of the simulated rig: its filter, noise, bias, resolution and range."""
 
     cutoff: float = quantity(
         "Hz", Range(0.0, 1e6), default=0.0, doc="cutoff of the cell's low-pass; 0: none"
@@ -63,7 +66,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Transport:
-    """The way to the loop and back."""
+    """Simulated transport between loop and rig: delay, loss and duplication of the wrenches."""
 
     delay: float = quantity("s", Range(0.0, 10.0), default=0.001, doc="round-trip delay")
     jitter: float = quantity(
@@ -73,20 +76,24 @@ class Transport:
     doubles: float = quantity("1", _SHARE, default=0.001, doc="share of wrenches that come twice")
 
 
-#: A rig without delay, noise, lag and loss: what is left is the loop's own error.
+#: Servo, load cell and transport of a rig without delay, noise, bias, lag and loss.  With it, only
+#: the loop itself causes errors.
 IDEAL = (Servo(0.0, 0.0), Cell(0.0, 0.0, 0.0, 0.0, 0.0), Transport(0.0, 0.0, 0.0, 0.0))
 
 
 @dataclass
 class Rig:
-    """Walls of a law on a simulated rig; its clock follows the positions sent."""
+    """Simulated contact rig, whose walls have the shape of the scene's cone and a contact law.
+
+    The stamps of the received positions are its clock.
+    """
 
     scene: Scene  # whose cone it is
     law: WallLaw  # of the walls
     servo: Servo = field(default_factory=Servo)
     cell: Cell = field(default_factory=Cell)
     transport: Transport = field(default_factory=Transport)
-    hidden_lag: float = 0.0  # s, by which the force is old that is sent with the present position
+    hidden_lag: float = 0.0  # s, age of the force that is sent with the present position
     sends_tip: bool = True  # whether the tip's measured position is sent as well
     seed: int = 0  # of noise and transport
 
@@ -99,13 +106,14 @@ class Rig:
         self._filtered = NO_WRENCH
         self._contacts: deque[tuple[float, Wrench]] = deque()  # newest last
         self._on_the_way: list[tuple[float, Answer]] = []
-        self.peak_force = 0.0  # N, that the walls have exerted
+        self.peak_force = 0.0  # N, largest force of the walls on the tip
 
     def answer(self, pose: TipState) -> list[Answer]:
-        """Take a position; return the answers that come until the next one is sent.
+        """Move the tip towards a position, and return the answers that have arrived at the loop.
 
-        The first position of a loop, repeated, is answered at once: nothing moves.  Between two
-        loops the tip was driven back to it: their time begins again.
+        The list is empty if none has arrived.  A repeated first position is answered immediately,
+        because nothing moves.  A position with an earlier time than the last one begins a new loop:
+        the tip is placed there, and pending positions and answers are discarded.
         """
         if self._tip is None or pose.t < self._tip.t:
             self._tip, self._target = pose, pose[1:4]
@@ -128,7 +136,7 @@ class Rig:
         return [answer for _, answer in sorted(arrived, key=lambda entry: entry[0])]
 
     def _move(self, until: float) -> None:
-        """Move the tip up to a time, and the force on it."""
+        """Simulate the tip and the force on it up to a time, s."""
         assert self._tip is not None
         tip, servo = self._tip, self.servo
         steps = max(1, math.ceil((until - tip.t) / _SERVO_STEP - 1e-9))
@@ -160,7 +168,10 @@ class Rig:
         self._tip = tip
 
     def _feel(self, tip: TipState, h: float) -> None:
-        """Note the walls' force on the tip behind the cell's filter."""
+        """Store the walls' wrench on the tip, filtered by the load cell over a step ``h`` (s).
+
+        Wrenches older than ``hidden_lag`` are discarded.
+        """
         contact = self._walls.wrench(self.law, tip)
         self.peak_force = max(self.peak_force, contact.force)
         if contact != self._filtered:
@@ -172,7 +183,10 @@ class Rig:
             self._contacts.popleft()
 
     def _measured(self, pose: TipState) -> Answer:
-        """Return the reply to a position: the cell's reading and the tip's position."""
+        """Return the answer to a position: the load cell's reading, and the tip's state.
+
+        The tip is None if ``sends_tip`` is False.
+        """
         cell = self.cell
         contact = self._contacts[0][1] if self._contacts else NO_WRENCH
         noise = self._rng.normal(size=6) * np.repeat([cell.noise, cell.torque_noise], 3)

@@ -1,8 +1,9 @@
-"""Score tests: effects that the model lacks, by the gain of one more parameter at the optimum.
+"""Score tests: search for effects that the model lacks, after a fit.
 
-For each candidate the derivative of the residuals is computed, without the part that the fitted
-parameters explain.  Its gain is the decrease of chi2 if all parameters are adjusted again, in the
-linear model (Rao, 1948).
+A candidate is one more parameter, such as a friction or a sensor's delay.  Its gain is the decrease
+of chi2 that a linear model predicts if it is fitted together with all other parameters (Rao, 1948).
+The gain follows from the derivative of the residuals with respect to the candidate, without the
+part that the fitted parameters explain.
 """
 
 from __future__ import annotations
@@ -24,39 +25,40 @@ from capture_sim.studies.calibration.parameters import (
 )
 from capture_sim.studies.calibration.trial import sensor_column
 
-#: Gain of chi2 that names a candidate: chance alone gives it once in 100 000 per candidate.
+#: Gain above which a candidate is reported; by chance, one in 100 000 candidates has it.
 NAMED = 20.0
-#: A step of a candidate changes chi2 by about one; beyond these factors it is corrected (twice).
+#: A step of a candidate, in standard errors, must be between these numbers; else it is corrected,
+#: at most twice.
 _TOO_SMALL, _TOO_LARGE = 0.2, 5.0
-#: Largest decrease of the distance to the end of a range, as a power of e.
+#: Largest logarithm of a decrease of the distance to the end of a range.
 _MOST_DECREASE = 5.0
-#: A stop is tried at this share of the longest stroke that was measured.
+#: Position of a tried stop, as a share of the longest measured stroke, and its stiffness, N/m.
 _STOP_SHARE, _STOP_STIFFNESS = 0.95, 2e4
 
 
 class Score(NamedTuple):
-    """The estimated change if one more parameter were fitted."""
+    """Result of a score test: the gain and the value of a candidate if it were fitted too."""
 
-    name: str  # as --fit takes it; of the stops, their part
+    name: str  # of the parameter, for --fit; "stops" for a stop
     words: str
     gain: float  # decrease of chi2
     estimate: float  # SI
-    error: float  # standard error, SI
+    error: float  # standard error, SI; infinite if the fitted parameters explain it, NaN for a stop
     unit: str
     can_be_fitted: bool = True
 
 
 @dataclass(frozen=True)
 class _Field:
-    """A number of the scene as a candidate."""
+    """A field of the scene as a candidate for one more parameter."""
 
     name: str
     words: str
-    guess: Callable[[Scene], float]  # step that changes a motion a little, SI
+    guess: Callable[[Scene], float]  # returns a step that changes the motion a little, SI
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """Where it is in a scene."""
+        """Paths of the field in a scene; an alias such as c_rr sets several fields."""
         return ALIASES.get(self.name) or (self.name,)
 
 
@@ -69,7 +71,7 @@ def _stiffness(scene: Scene) -> float:
     return float(scene.contact_stiffness)
 
 
-#: Fields that are null where another one gives their value.
+#: Fields that may be null in a scene, and the function that gives their value in that case.
 COMPUTED: Mapping[str, Callable[[Scene], float]] = {
     "buffer.c_A_rebound": lambda scene: scene.buffer.c_A,
     "contact.stiffness": _stiffness,
@@ -98,7 +100,10 @@ _FIELDS = (
 
 
 def scores(at: Linear, problem: Problem) -> list[Score]:
-    """Return the candidates with the gain of each, largest first."""
+    """Return the scores of all candidates at a fit, with the largest gain first.
+
+    Candidates whose gain is not finite are left out.
+    """
     found = [score for score in _all(at, problem) if math.isfinite(score.gain)]
     return sorted(found, key=lambda score: -score.gain)
 
@@ -133,7 +138,10 @@ def _all(at: Linear, problem: Problem) -> Iterator[Score]:
 
 
 def _has(scene: Scene, path: str) -> bool:
-    """Return True if a field is a number of this scene, or may be one."""
+    """Return True if the field at a path can be a candidate in this scene.
+
+    It must be a number, or one of the fields that may be null.
+    """
     owner, _, name = path.rpartition(".")
     part = get(scene, owner)
     if part is None or not hasattr(part, name):
@@ -171,14 +179,15 @@ def _field_score(at: Linear, problem: Problem, field: _Field) -> Score | None:
         wanted = abs(step) / max(change, 1e-6)
         step = math.copysign(min(wanted, max(0.3 * abs(value), 30.0 * abs(step))), step)
     if (value <= low and score.estimate < value) or (value >= high and score.estimate > value):
-        score = score._replace(gain=0.0)  # out of its range: nothing that a bench could have
+        score = score._replace(gain=0.0)  # the estimate is out of range, so no bench can have it
     return score._replace(estimate=possible(value, score.estimate, low, high))
 
 
 def possible(value: float, estimate: float, low: float, high: float) -> float:
-    """Return an estimate that a linear model makes from a ``value`` inside of the open range.
+    """Return the estimate of a linear model about ``value``, moved into the range if necessary.
 
-    A step to or beyond an end becomes a step of the distance to that end by its logarithm.
+    An estimate at or beyond an end of the range is replaced by a value short of that end: the step
+    is then applied to the logarithm of the distance from ``value`` to the end.
     """
     for end in (low, high):
         left = end - value
@@ -188,7 +197,10 @@ def possible(value: float, estimate: float, low: float, high: float) -> float:
 
 
 def _columns(at: Linear, problem: Problem, more: dict[str, float]) -> list[np.ndarray] | None:
-    """Return the change of each trial's residuals with other values of fields."""
+    """Return the change of each trial's residuals, (n,), if fields have the values of ``more``.
+
+    None if a trial cannot be simulated with them.
+    """
     columns = []
     for number, one in enumerate(at.shown):
         there = problem.show(number, at.place, more)
@@ -199,7 +211,10 @@ def _columns(at: Linear, problem: Problem, more: dict[str, float]) -> list[np.nd
 
 
 def _stop_score(at: Linear, problem: Problem) -> Score | None:
-    """Return the gain of a stop near the longest stroke."""
+    """Return the score of a stop that the probe hits just before its longest measured stroke.
+
+    None if no stroke exceeds 0.1 mm, or if a trial cannot be simulated with the stop.
+    """
     strokes = [
         channel.values for t in problem.trials for channel in t.channels if channel.name == "stroke"
     ]
@@ -211,7 +226,7 @@ def _stop_score(at: Linear, problem: Problem) -> Score | None:
     if columns is None:
         return None
     score = _score(at, problem, "stops", "a stop of the probe", columns, 0.0, 1.0, "1")
-    # the column is a complete stop: a small share of it, or a negative one, is none
+    # the step is a complete stop, so a small or negative share of it is no stop
     if score.estimate < 0.2:
         score = score._replace(gain=0.0)
     return score._replace(
@@ -229,7 +244,11 @@ def _score(
     step: float,
     unit: str,
 ) -> Score:
-    """Return the score of a candidate by the changes of the residuals along a step."""
+    """Return the score of a candidate.
+
+    ``columns`` are the changes of each trial's residuals, (n,), if the candidate is changed from
+    ``value`` by ``step`` (in SI).
+    """
     cross, along, size = np.zeros(problem.dimension), 0.0, 0.0
     for number, (column, one, J) in enumerate(zip(columns, at.shown, at.jacobians, strict=True)):
         cross[np.r_[0 : problem.shared, problem.own(number)]] += J.T @ column

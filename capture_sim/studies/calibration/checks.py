@@ -1,8 +1,8 @@
-"""Tests of a fit: whether searches agree, trials agree, and residuals are noise.
+"""Tests of a fit: whether restarts agree, trials agree, and residuals are noise.
 
-A false minimum alone looks fine: its predicted decrease is small, and its chi2 is that of noise.
-It is revealed by restarts, by trials that disagree, and by residuals whose means over 30 ms exceed
-those of noise.
+A fit in a false minimum can have a small predicted decrease and a chi2 like that of noise.  Such a
+minimum is revealed by restarts, by trials that disagree, and by residuals whose means over 30 ms
+are larger than those of noise.
 """
 
 from __future__ import annotations
@@ -23,20 +23,24 @@ from capture_sim.studies.calibration.trial import OWN_SIZE, FittedTrial
 BLOCK = 0.03
 #: Phases of a trial.
 PHASES = ("held", "approach", "contact", "after")
-#: When approach and contact end, s after the first contact: two frames of a 100 Hz camera before
-#: it, and after the first group of touches.  The first phase ends at the release.
+#: Ends of the phases ``approach`` and ``contact``, s after the first contact: two frames of a
+#: 100 Hz camera before it, and after the first group of touches.  ``held`` ends at the release.
 _APPROACH_END, _CONTACT_END = -0.02, 0.25
-#: Chances of a wrong alarm: of trials that agree, and of all means of residuals together.
+#: Probabilities of a false alarm: for trials that agree, and for all means of residuals together.
 ALARM_TRIALS, ALARM_BLOCKS = 1e-4, 1e-3
-#: A fit has converged if the linear model predicts a decrease of chi2 below this, and if restarts
-#: that end as low as this, end as near as this, in standard errors; so many must.
+#: Conditions for convergence: largest decrease of chi2 that the linear model predicts; restarts
+#: with chi2 above the best by less than the second number must end nearer to the best than the
+#: third (standard errors); smallest number of restarts that must do so.
 LEFT, AS_LOW, AS_NEAR, AGREEING = 2.0, 4.0, 2.0, 2
-#: A direction with a standard error above this, in coordinates, is not determined.
+#: Standard error, in coordinates, above which a direction of the parameters is not determined.
 VAGUE = 0.5
 
 
 class Finding(NamedTuple):
-    """A reason why a fit cannot be trusted, and the remedy."""
+    """A reason to reject a fit, in words, and advice what to do.
+
+    ``kind`` is the name of the test that failed, e.g. ``"convergence"``.
+    """
 
     kind: str
     text: str
@@ -44,12 +48,15 @@ class Finding(NamedTuple):
 
     @property
     def line(self) -> str:
-        """Both in one line."""
+        """Reason and advice in one line."""
         return f"{self.text}; {self.advice}"
 
 
 class Agreeing(NamedTuple):
-    """Whether trials, or a trial and the others, have the same parameters."""
+    """Chi2 test that all trials, or one trial and all others, have the same parameters.
+
+    ``p`` is the probability of a larger statistic by chance.
+    """
 
     statistic: float
     freedom: int
@@ -57,19 +64,23 @@ class Agreeing(NamedTuple):
 
 
 class BlockMean(NamedTuple):
-    """Means of the residuals of a measured number in a phase of a trial."""
+    """Chi2 test that the residuals of one measured quantity in one phase of a trial are noise.
+
+    Their means over 30 ms are tested.  ``trial`` is the number of the trial, from 0, and ``part``
+    the column of the channel's values.
+    """
 
     trial: int
     channel: str
     part: int
     phase: str
     statistic: float  # sum of the squares of the means, in units of their noise
-    means: int  # number of them
+    means: int  # number of means
     p: float
 
 
 def chi2_tail(statistic: float, freedom: int) -> float:
-    """Return the probability of a larger chi2."""
+    """Return the probability of a chi2 above ``statistic``; 1 without degrees of freedom."""
     from scipy.stats import chi2
 
     return float(chi2.sf(statistic, freedom)) if freedom > 0 else 1.0
@@ -77,14 +88,21 @@ def chi2_tail(statistic: float, freedom: int) -> float:
 
 @dataclass(frozen=True)
 class Reduced:
-    """Information of one trial on the shared parameters, with its own numbers adjusted."""
+    """Information of one trial on the k shared parameters.
+
+    It is that of chi2 minimised over the seven numbers of the trial.  ``gradient`` is half of the
+    derivative of chi2.
+    """
 
     hessian: np.ndarray  # (k, k)
     gradient: np.ndarray  # (k,)
 
 
 def reduced(at: Linear, number: int, shared: int) -> Reduced:
-    """Return the information of a trial, without any prior."""
+    """Return the information of the trial with a number, from its residuals alone, without a prior.
+
+    ``shared`` is the number of shared parameters.
+    """
     J, r = at.jacobians[number], at.shown[number].residuals
     H, g = J.T @ J, J.T @ r
     cross, own = H[:shared, shared:], H[shared:, shared:]
@@ -97,7 +115,10 @@ def reduced(at: Linear, number: int, shared: int) -> Reduced:
 
 
 def _distance(hessian: np.ndarray, gradient: np.ndarray) -> tuple[float, int]:
-    """Return the squared distance of a minimum in standard errors, and its freedoms."""
+    """Return the squared distance to the minimum of chi2, in standard errors, and its freedom.
+
+    The freedom is the number of directions with information.
+    """
     scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
     kept = values > 1e-8 * max(float(values[-1]), 1e-300)
@@ -106,7 +127,11 @@ def _distance(hessian: np.ndarray, gradient: np.ndarray) -> tuple[float, int]:
 
 
 def trials_agree(at: Linear, problem: Problem) -> tuple[Agreeing, list[Agreeing]]:
-    """Return whether all trials have the same parameters, and each the same as the others."""
+    """Return the test that all trials have the same parameters, and one test for each trial.
+
+    The latter compares a trial with all others.  With fewer than two trials or no shared parameter,
+    p is 1 and there are no tests of each trial.
+    """
     k = problem.shared
     if len(problem.trials) < 2 or k == 0:
         return Agreeing(0.0, 0, 1.0), []
@@ -127,7 +152,10 @@ def trials_agree(at: Linear, problem: Problem) -> tuple[Agreeing, list[Agreeing]
 
 
 def block_means(at: Linear, problem: Problem) -> list[BlockMean]:
-    """Return the means of the residuals over 30 ms by trial, measured number and phase."""
+    """Return the tests of the means of residuals over 30 ms, by trial, measured quantity and phase.
+
+    Phases with fewer than four samples are left out.
+    """
     found = []
     for number, (trial, one) in enumerate(zip(problem.trials, at.shown, strict=True)):
         release = float(at.place[problem.own(number)][-1] * OWN_SIZE[-1])
@@ -162,15 +190,16 @@ def block_means(at: Linear, problem: Problem) -> list[BlockMean]:
 
 
 def _phases(trial: FittedTrial, t: np.ndarray, release: float) -> np.ndarray:
-    """Return the number of the phase at each time, (n,)."""
+    """Return the index in PHASES at each time, (n,); ``release`` in s."""
     ends = [release, trial.contact + _APPROACH_END, trial.contact + _CONTACT_END]
     return np.searchsorted(np.maximum.accumulate(ends), t, side="right")
 
 
 def undetermined(at: Linear, problem: Problem) -> list[tuple[np.ndarray, float]]:
-    """Return directions of the shared parameters without information, with their errors.
+    """Return the directions of the shared parameters that the fit does not determine.
 
-    Each direction is (k,), of length one in coordinates; an error may be infinite.
+    Each direction (k,) has length one in coordinates, and is returned with its standard error along
+    it: above ``VAGUE``, or infinite without any information.
     """
     k = problem.shared
     if not k:
@@ -191,7 +220,7 @@ def undetermined(at: Linear, problem: Problem) -> list[tuple[np.ndarray, float]]
 
 
 def direction_words(parameters: Sequence[Parameter], direction: np.ndarray) -> tuple[str, str]:
-    """Return the meaning of a direction without information, and the remedy."""
+    """Return what a direction that is not determined means, in words, and advice what to do."""
     main = np.flatnonzero(np.abs(direction) > 0.25 * np.abs(direction).max()).tolist()
     names = [parameters[i].name for i in main]
     if len(names) == 1:
@@ -212,7 +241,7 @@ def direction_words(parameters: Sequence[Parameter], direction: np.ndarray) -> t
 
 
 def at_bounds(place: np.ndarray, problem: Problem) -> list[Parameter]:
-    """Return the parameters at an end of their range."""
+    """Return the shared parameters that are at an end of their range at a place (d,)."""
     found = []
     for parameter, coordinate in zip(problem.parameters, place[: problem.shared], strict=True):
         low, high = parameter.limits
@@ -222,7 +251,10 @@ def at_bounds(place: np.ndarray, problem: Problem) -> list[Parameter]:
 
 
 def convergence(found: Found) -> tuple[str, int]:
-    """Return why a fit has not converged, empty if it has, and how many restarts agree."""
+    """Return the reason why a fit has not converged, and the number of restarts that agree.
+
+    The reason is empty if the fit has converged.
+    """
     agreeing = sum(higher < AS_LOW and apart < AS_NEAR for higher, apart in found.restarts)
     other = [apart for higher, apart in found.restarts if higher < AS_LOW and apart >= AS_NEAR]
     if found.best.linear.decrease > LEFT:

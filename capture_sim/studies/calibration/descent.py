@@ -1,9 +1,9 @@
-"""The search: Levenberg and Marquardt's steps over a growing horizon, with restarts.
+"""The search for the least chi2: Levenberg and Marquardt's method over a growing horizon.
 
 The first contact determines all motion after it.  A fit of complete trials from values that are
 wrong by some percent ends in one of many false minima of the chatter.  So the fit first covers
-times before the first contact, then a few hundredths of a second after it, and so on; each result
-is close enough to the next.
+only times before the first contact, then a few hundredths of a second after it, and so on.  Each
+result is close enough to the minimum of the next fit.  Restarts then check the result.
 """
 
 from __future__ import annotations
@@ -26,35 +26,40 @@ HORIZON = (-0.8, -0.25, -0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 0.9)
 #: Standard errors of the priors of the early fits: of a logarithm, of another coordinate, and of
 #: the relative start, in units of OWN_SIZE.
 _WEAK_LOG, _WEAK, _WEAK_START = 0.5, 0.3, (5.0, 5.0, 20.0)
-#: A predicted decrease of chi2 below this ends a search; of an early fit.
+#: Predicted decrease of chi2 below which a search ends: of the final fit, and of an early fit.
+#: Below them, the largest number of steps of each.
 _ENOUGH, _ENOUGH_EARLY = 0.1, 1.0
 _STEPS, _STEPS_EARLY = 12, 5
-#: An early fit explains what was added to a shorter one if chi2 grows by less than this share of
-#: the values added and so many standard deviations of noise; else it starts again from so many
-#: draws, and the step of the horizon is halved down to this, s, at most so often.
+#: An early fit explains the values added to a shorter fit if chi2 grows by less than their number
+#: times the first factor, plus the second number of standard deviations of noise.  Otherwise it is
+#: repeated from ``_DRAWN`` random starts.  If that fails too, the step of the horizon is halved if
+#: it is longer than ``_FINEST`` (s), at most ``_MOST_HALVED`` times.
 _EXCESS, _EXCESS_NOISE = 1.15, 4.0
 _DRAWN, _FINEST, _MOST_HALVED = 2, 0.03, 5
-#: Damping of the first step, relative to the diagonal, and its change after a step.
+#: Damping of the first step, relative to the diagonal of the Hessian; its factor after a step that
+#: lowers chi2 and after one that does not; damping at which the search gives up.
 _DAMPING, _EASIER, _HARDER, _STIFFEST = 1e-3, 0.1, 8.0, 1e4
 #: Longest step of a shared parameter, in coordinates.
 _LONGEST_STEP = 0.7
-#: Restarts begin so many standard errors from the best place.
+#: Standard deviation of the restarts about the best place, in standard errors.
 _AWAY = 1.5
-#: A draw at which a trial does not work, or is another motion, as where the tip starts in a wall,
-#: is taken nearer by these shares.  It is another motion if chi2 is higher by so much a parameter.
+#: A restart is moved nearer to the best place, to these shares of its distance in turn, if a trial
+#: cannot be simulated there or moves quite differently, e.g. because the tip starts in a wall.  It
+#: moves quite differently if chi2 is higher by more than ``_USABLE`` per parameter.
 _NEARER, _USABLE = (1.0, 0.5, 0.25, 0.125), 1000.0
-#: Restarts that a fit makes at least, and at most if one of them finds a better place.
+#: Number of successive restarts that must find no better place, and largest number of restarts.
 RESTARTS, _MOST_RESTARTS = 4, 10
-#: A restart that ends lower than this is a better place; kinks leave a roughness of a few units.
+#: Decrease of chi2 from which the end of a restart counts as a better place.  Kinks of chi2 leave a
+#: roughness of about one unit.
 _BETTER = 0.5
-#: How far the release is searched from the one that is assumed, s, later at least to the contact,
-#: and the step of that search.
+#: Largest shift from the assumed release that is tried, s, and the step of the shifts, s.  If the
+#: first contact is later than that, shifts up to the contact are tried.
 _RELEASE_RANGE, _RELEASE_STEP = 3.0, 0.01
 
 
 @dataclass
 class EndedSearch:
-    """A search that has ended."""
+    """Result of one search: the last linear model, and the number of steps."""
 
     linear: Linear
     steps: int
@@ -67,12 +72,12 @@ class EndedSearch:
 
 @dataclass
 class Found:
-    """The best of a fit's searches, and where the others ended."""
+    """The best search of a fit, and how far from it the other searches ended."""
 
     best: EndedSearch
-    #: chi2 above the best one, and distance from it in standard errors, of each restart.
+    #: For each search but the best: chi2 minus that of the best, and distance in standard errors.
     restarts: list[tuple[float, float]] = field(default_factory=list)
-    asked: int = 0  # restarts that must find no better place
+    asked: int = 0  # number of successive restarts that must find no better place
 
 
 def descend(
@@ -85,7 +90,12 @@ def descend(
     most: int = _STEPS,
     keep: Callable[[Linear], None] = lambda at: None,
 ) -> EndedSearch | None:
-    """Search for the least chi2 from a place; None if a trial cannot be simulated there."""
+    """Search for the least chi2 from a place (d,); None if a trial cannot be simulated there.
+
+    ``covariance`` (d, d) gives the steps of the first derivatives; None for default steps.  The
+    search ends if the predicted decrease of chi2 is below ``enough``, if no step lowers chi2, or
+    after ``most`` steps.  ``keep`` is called with each linear model.
+    """
     known = problem.chi2(place, prior)
     if not known[1]:
         return None
@@ -102,7 +112,7 @@ def descend(
             free = at.free
             move = np.zeros(place.size)
             move[free] = -np.linalg.solve(damped[np.ix_(free, free)], at.gradient[free])
-            # without information a step has no size: none is longer than the parameter's own
+            # along a direction without information the step could be of any size
             longest = float(np.abs(move[: problem.shared]).max(initial=0.0))
             move *= min(1.0, _LONGEST_STEP / max(longest, 1e-300))
             there = np.clip(at.place + move, low, high)
@@ -122,13 +132,19 @@ def descend(
 
 
 def step_covariance(at: Linear, problem: Problem) -> np.ndarray:
-    """Return the covariance whose axes give the steps: wider where noise does not explain chi2."""
+    """Return the covariance (d, d) at a place, increased if noise does not explain chi2.
+
+    The factor is chi2 per degree of freedom, and at least 1.
+    """
     excess = max(1.0, at.chi2 / max(problem.rows - problem.dimension, 1))
     return at.covariance * excess
 
 
 def weak_prior(problem: Problem, begin: np.ndarray) -> Prior:
-    """Return the prior of weighed values, and weak priors for all others, for early fits."""
+    """Return the prior for early fits: that of the weighed values, and weak priors for all others.
+
+    ``begin`` has the coordinates (k,) about which the weak priors of shared parameters are centred.
+    """
     known = problem.weighed()
     centre, error = known.centre.copy(), known.error.copy()
     for k, parameter in enumerate(problem.parameters):
@@ -144,7 +160,11 @@ def weak_prior(problem: Problem, begin: np.ndarray) -> Prior:
 
 
 def first_place(problem: Problem, begin: np.ndarray) -> np.ndarray:
-    """Return where a fit begins: parameters as given, each trial as its poses show it."""
+    """Return the place (d,) where a fit begins.
+
+    The shared coordinates (k,) are ``begin``.  Release and start of each trial are estimated from
+    its measured poses.
+    """
     place = np.zeros(problem.dimension)
     place[: problem.shared] = begin
     for number, trial in enumerate(problem.trials):
@@ -156,9 +176,10 @@ def first_place(problem: Problem, begin: np.ndarray) -> np.ndarray:
 
 
 def _release(trial: FittedTrial) -> float:
-    """Return when the chaser was let go, s after the release that is assumed.
+    """Return the estimated release of the chaser, s after the assumed release.
 
-    It is the shift by which the simulated path meets the measured one best.
+    It is the time shift at which the simulated path of the chaser fits the measured path best.
+    With fewer than eight poses before the contact, it is 0.
     """
     chaser = trial.channels[0]
     end = min(trial.contact, trial.end) - 0.02
@@ -186,7 +207,10 @@ def _release(trial: FittedTrial) -> float:
 
 
 def _start(trial: FittedTrial, release: float) -> np.ndarray:
-    """Return the start of a trial, (6,) in units of OWN_SIZE, by the samples before the release."""
+    """Return the start of a trial, (6,) in units of OWN_SIZE, from the poses before the release.
+
+    It is zero, the start of the scene, if a vehicle has fewer than three poses there.
+    """
     initial = trial.scene.initial
     shifts = []
     for channel, pose in zip(trial.channels, (initial.chaser, initial.target), strict=False):
@@ -210,11 +234,12 @@ def grow(
     rng: np.random.Generator,
     keep: Callable[[Problem, Linear], None] = lambda part, at: None,
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the coordinates after fits over a growing horizon, and the last covariance.
+    """Return the place (d,) after fits over a growing horizon, and its covariance (d, d).
 
     If the fit over a longer time does not explain the added measurements, the chatter has several
-    minima there.  The search then starts again from draws of the shorter fit, and continues in half
-    the step.  ``keep`` is called with each state of the search.
+    minima.  The fit is then repeated from random places near the result of the shorter fit.  If
+    that fails, the step of the horizon is halved.  The covariance is None if no fit was made, e.g.
+    because no trial shows a contact.  ``keep`` is called with each part and its linear model.
     """
     prior = weak_prior(problem, begin)
     stage = _Stage(first_place(problem, begin), None, 0.0, 0)
@@ -244,7 +269,7 @@ def grow(
 
 @dataclass
 class _Stage:
-    """An early fit that has ended."""
+    """Result of an early fit, with the number of residuals ``rows`` of the data."""
 
     place: np.ndarray
     covariance: np.ndarray | None
@@ -252,7 +277,7 @@ class _Stage:
     rows: int
 
     def explains_more_than(self, shorter: _Stage) -> bool:
-        """Return True if noise explains the residuals of the time added to a shorter fit."""
+        """Return True if noise explains the increase of chi2 since a shorter fit."""
         added = self.rows - shorter.rows
         if not shorter.rows or added <= 0:
             return True
@@ -267,7 +292,11 @@ def _stage_fit(
     rng: np.random.Generator,
     keep: Callable[[Problem, Linear], None],
 ) -> _Stage | None:
-    """Return a fit that starts from the end of a shorter one; None if every start fails."""
+    """Return an early fit that starts from the result of a shorter one, or from places near it.
+
+    The result is the first fit that explains the added measurements, or the best of all.  None if
+    no start can be simulated.
+    """
     best: _Stage | None = None
     starts = [stage.place]
     if stage.covariance is not None and spare > 0:
@@ -309,7 +338,11 @@ def restart(
     count: int = RESTARTS,
     report: Callable[[str], None] = lambda stage: None,
 ) -> Found:
-    """Search again from draws about the best place until none finds a better one."""
+    """Search again from random places near the best place, and return the best search of all.
+
+    It ends when ``count`` successive restarts have found no better place, or after ten restarts.
+    ``report`` is called with the name of each restart.
+    """
     prior = problem.weighed()
     best = found
     ends: list[EndedSearch] = []
@@ -344,17 +377,21 @@ def restart(
 
 
 def _apart(best: EndedSearch, other: EndedSearch, shared: int) -> tuple[float, float]:
-    """Return by how much chi2 is higher, and how far off the shared parameters are."""
+    """Return chi2 of another search minus that of the best, and the distance between their ends.
+
+    The distance is that of the shared parameters, in standard errors.
+    """
     off = (other.linear.place - best.linear.place)[:shared]
     information = inverse(best.linear.covariance[:shared, :shared])
     return other.linear.chi2 - best.linear.chi2, math.sqrt(max(off @ information @ off, 0.0))
 
 
 def sigma_of(problem: Problem, at: Linear) -> list[dict[str, np.ndarray]]:
-    """Return the noise of each channel of each trial, from first differences of the residuals.
+    """Return the noise of each trial from first differences of its residuals.
 
-    Third differences of the measurements are up to 10 % too large if samples are not evenly spaced,
-    and then hide a false fit.
+    Each dict has the standard deviations (m,), in SI units, by the name of a channel; channels with
+    fewer than nine samples are left out.  Third differences of the measurements would give up to
+    10 % too much if samples are not evenly spaced, and so hide a false fit.
     """
     found = []
     for trial, one in zip(problem.trials, at.shown, strict=True):
@@ -377,6 +414,6 @@ def sigma_of(problem: Problem, at: Linear) -> list[dict[str, np.ndarray]]:
 
 
 def renoised(problem: Problem, noises: Sequence[dict[str, np.ndarray]]) -> Problem:
-    """Return the problem with other noises of its trials."""
+    """Return the problem with other standard deviations of the noise of each trial."""
     trials = [trial.with_noise(noise) for trial, noise in zip(problem.trials, noises, strict=True)]
     return Problem(trials, problem.parameters, tick=problem._count)

@@ -1,4 +1,4 @@
-"""A calibration as data for a file, and the part of it that other studies use."""
+"""The files of a calibration: JSON and scene to write, and the results that other studies read."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ from capture_sim.studies.calibration.prediction import Prediction
 KIND, VERSION = "capture_sim calibration", 1
 #: Names of the files in a folder of a calibration.
 JSON, SCENE = "calibration.json", "calibrated.yaml"
-#: Largest file that is read, bytes.
+#: Largest size of a file that is read, bytes.
 _LARGEST = 50_000_000
 
 
 def as_data(found: Calibration, hashes: Mapping[str, str]) -> dict[str, Any]:
-    """Return a calibration as plain data for JSON; SI units.
+    """Return a calibration as plain data for JSON, in SI units.
 
-    ``hashes``: SHA-256 of each recording by its path.
+    Values, errors and scores that are not finite become None.  ``hashes``: SHA-256 of each
+    recording by its path.
     """
     origin = scene_origin(found.scene)
     return {
@@ -85,7 +86,7 @@ def as_data(found: Calibration, hashes: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _plain(values: np.ndarray) -> Any:
-    """Return an array as nested lists, with null for each number that is not finite."""
+    """Return an array as nested lists, with None for each number that is not finite."""
     plain = np.asarray(values, dtype=object)
     plain[~np.isfinite(np.asarray(values, dtype=float))] = None
     return plain.tolist()
@@ -112,7 +113,11 @@ def _prediction(prediction: Prediction) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Results of a calibration for other studies: values, covariance, and findings."""
+    """Results of a calibration, read from its file for other studies.
+
+    ``names`` are those of the k parameters.  ``is_found`` is True if all tests of the fit passed;
+    ``findings`` are the reasons to reject it.
+    """
 
     path: str
     names: tuple[str, ...]
@@ -123,26 +128,29 @@ class Calibrated:
 
     @property
     def errors(self) -> np.ndarray:
-        """Standard errors (k,)."""
+        """Standard errors of the values (k,), SI."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def of_bench(self) -> list[int]:
-        """True for each parameter that is a field of a scene, not an error of a sensor."""
+        """Indices of the parameters that are fields of a scene, not errors of a sensor."""
         return [k for k, name in enumerate(self.names) if name not in SENSOR_ERRORS]
 
     def paths(self, k: int) -> tuple[str, ...]:
-        """Return where a parameter is in a scene."""
+        """Return the paths in a scene of the parameter with index k."""
         return ALIASES.get(self.names[k]) or (self.names[k],)
 
     @property
     def fields(self) -> dict[str, float]:
-        """The values by path in a scene."""
+        """Values of the scene's fields by path, SI; without errors of sensors."""
         return {path: float(self.values[k]) for k in self.of_bench for path in self.paths(k)}
 
     @property
     def weighed(self) -> dict[str, Weighed]:
-        """Value and error of each parameter, as if it was weighed; without correlations."""
+        """Value and standard error of each scene parameter by name, as if it had been weighed.
+
+        The correlations are lost.
+        """
         return {
             self.names[k]: Weighed(float(self.values[k]), float(self.errors[k]))
             for k in self.of_bench
@@ -150,9 +158,9 @@ class Calibrated:
 
 
 def read_calibrated(path: Path) -> Calibrated:
-    """Return the calibration of a file, or of a folder with one.
+    """Read a calibration from its JSON file, or from a folder that contains ``calibration.json``.
 
-    SceneError if it cannot be read or its covariance is none.
+    Raise SceneError if it cannot be read, is not a calibration, or has an invalid covariance.
     """
     file = path / JSON if path.is_dir() else path
     try:
@@ -182,16 +190,19 @@ def read_calibrated(path: Path) -> Calibrated:
     return Calibrated(str(file), names, values, covariance, is_found, findings)
 
 
-#: Correlation of two fields that are one parameter: as much as a copula accepts.
+#: Factor on all correlations.  It keeps the correlation of two fields of one parameter below 1,
+#: because the copula that draws them rejects 1.
 _TIED = 1.0 - 1e-10
 
 
 def calibrated_dispersions(
     calibrated: Calibrated, without: Collection[str] = ()
 ) -> tuple[dict[str, str], dict[tuple[str, str], float]]:
-    """Return the errors of a calibration as distributions by field, and their correlations.
+    """Return a normal distribution of each calibrated field by path, and the correlations.
 
-    Fields of ``without`` are left out, which leaves the others as they are.
+    The distributions are texts such as ``normal(0.3, 0.01)`` in SI units.  The correlations have
+    pairs of paths as keys; zeros are left out.  Fields in ``without`` and fields without an error
+    are left out; this does not change the distributions of the other fields.
     """
     vary: dict[str, str] = {}
     owners: list[tuple[str, int]] = []
@@ -212,7 +223,10 @@ def calibrated_dispersions(
 
 
 def scene_text(found: Calibration, extends: str, title: str) -> str:
-    """Return ``calibrated.yaml``: a scene that extends the trials' own with the values."""
+    """Return the text of ``calibrated.yaml``, a scene with the fitted values.
+
+    It extends the scene ``extends``, the one of the trials.  Findings are listed as comments.
+    """
     lines = [
         f"# {title}",
         *(f"# not found: {finding.text}" for finding in found.findings),

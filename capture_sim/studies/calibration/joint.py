@@ -1,10 +1,10 @@
-"""All trials of a bench together: residuals, their derivatives, and the information in them.
+"""The joint problem of all trials of a bench: residuals, their derivatives and information.
 
-The place of a search is one vector: the coordinates of the shared parameters, then the seven
-numbers of each trial.  Derivatives by shared parameters are central differences along the principal
-axes of their covariance, one standard error long.  Shorter steps take the roughness of the chatter
-for information: along the direction in which masses and stiffnesses grow together, errors come out
-at a tenth of the right ones.
+The place of a search is one vector (d,): the coordinates of the k shared parameters, then the seven
+numbers of each trial.  Derivatives by the shared parameters are central differences with steps of
+one standard error along the principal axes of their covariance.  With shorter steps, the roughness
+of the chatter would count as information.  The standard error of a common factor of masses and
+stiffnesses would then be a tenth of the correct one.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from capture_sim.studies.calibration.trial import (
     view,
 )
 
-#: Longest step of a difference, in coordinates; the first steps, before any covariance is known.
+#: Longest step of a difference, in coordinates, and step while no covariance is known.
 _LONGEST, _FIRST = 0.03, 0.01
-#: Shortest step: round-off of the simulation.
+#: Shortest step of a difference; with a shorter one, round-off would matter.
 _SHORTEST = 1e-6
-#: The same of the relative start, in units of OWN_SIZE.
+#: Longest, first and shortest step for the relative start of a trial, in units of OWN_SIZE.
 _LONGEST_OWN, _FIRST_OWN, _SHORTEST_OWN = 0.3, 0.05, 1e-4
 #: Directions whose information is below this share of the largest are not determined.
 UNDETERMINED = 1e-10
@@ -42,7 +42,10 @@ UNDETERMINED = 1e-10
 
 @dataclass(frozen=True)
 class Prior:
-    """Independent knowledge of the place (d,): centres and standard errors; infinite without."""
+    """Prior knowledge of the place (d,), independent of the trials: centres and standard errors.
+
+    An infinite error means that nothing is known of a number.
+    """
 
     centre: np.ndarray
     error: np.ndarray
@@ -53,13 +56,13 @@ class Prior:
         return np.asarray(1.0 / self.error**2)
 
     def chi2(self, place: np.ndarray) -> float:
-        """Return the squared distance of a place in standard errors."""
+        """Return the squared distance of a place (d,) from the centre, in standard errors."""
         return float(self.weight @ (place - self.centre) ** 2)
 
 
 @dataclass
 class Shown:
-    """One trial at a place: simulated, seen and compared."""
+    """Simulation of one trial at a place, its sensor readings, and the residuals."""
 
     motion: SimulatedMotion
     view: View
@@ -68,7 +71,7 @@ class Shown:
 
 @dataclass
 class Linear:
-    """The problem at a place, with derivatives."""
+    """Linear model of the problem at a place: residuals and their derivatives."""
 
     place: np.ndarray  # (d,)
     chi2: float  # of the data and the prior
@@ -76,25 +79,25 @@ class Linear:
     jacobians: list[np.ndarray]  # (n, k + 7) of each trial
     hessian: np.ndarray  # (d, d), with the prior
     gradient: np.ndarray  # (d,), half of that of chi2
-    free: np.ndarray  # (d,) bool: not known, nor held at an end of its range by the gradient
+    free: np.ndarray  # (d,) bool: False if fixed, or held at an end of its range by the gradient
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance (d, d) of the place; without the directions that are not determined."""
+        """Covariance (d, d) of the place; zero along directions that are not determined."""
         return inverse(self.hessian)
 
     @property
     def decrease(self) -> float:
-        """Decrease of chi2 that a linear model predicts: the squared distance to its minimum."""
+        """Decrease of chi2 to the minimum of the linear model if only the free numbers change."""
         free = self.free
         along = self.gradient[free]
         return float(along @ inverse(self.hessian[np.ix_(free, free)]) @ along)
 
 
 def inverse(hessian: np.ndarray) -> np.ndarray:
-    """Return the inverse of an information matrix, without directions that are not determined."""
+    """Return the inverse of an information matrix, zero along directions without information."""
     covariance = np.zeros_like(hessian)
-    # a number without any information, as a release that is known, would take rounding errors
+    # a number without any information, such as a known release, would only have rounding errors
     known = np.flatnonzero(np.diag(hessian) > 0.0)
     if not known.size:
         return covariance
@@ -109,7 +112,7 @@ def inverse(hessian: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Problem:
-    """The joint fit of some trials."""
+    """The problem of fitting shared parameters to some trials jointly."""
 
     trials: Sequence[FittedTrial]
     parameters: Sequence[Parameter]
@@ -124,22 +127,22 @@ class Problem:
 
     @property
     def dimension(self) -> int:
-        """Number of all parameters."""
+        """Length d of the place: the number of shared parameters plus seven of each trial."""
         return self.shared + len(OWN) * len(self.trials)
 
     @property
     def rows(self) -> int:
-        """Number of residuals of the data."""
+        """Number of residuals of all trials, without those of a prior."""
         return sum(trial.size for trial in self.trials)
 
     def own(self, number: int) -> slice:
-        """Return where the numbers of a trial are in the place."""
+        """Return the slice of the place that has the seven numbers of a trial."""
         begin = self.shared + len(OWN) * number
         return slice(begin, begin + len(OWN))
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Range of the place."""
+        """Lower and upper limits of the place, (d,) each; infinite for the trials' own numbers."""
         low, high = np.full(self.dimension, -math.inf), np.full(self.dimension, math.inf)
         for k, parameter in enumerate(self.parameters):
             low[k], high[k] = parameter.limits
@@ -147,14 +150,14 @@ class Problem:
 
     @property
     def fixed(self) -> np.ndarray:
-        """True for each number of the coordinates that is not fitted, (d,) bool: known releases."""
+        """Mask (d,) of the numbers that are not fitted: the releases that are known exactly."""
         is_fixed = np.zeros(self.dimension, bool)
         for number, trial in enumerate(self.trials):
             is_fixed[self.own(number).stop - 1] = not trial.is_release_fitted
         return is_fixed
 
     def weighed(self) -> Prior:
-        """Return the prior of the weighed values."""
+        """Return the prior that the weighed values give; all other errors are infinite."""
         centre, error = np.zeros(self.dimension), np.full(self.dimension, math.inf)
         for k, parameter in enumerate(self.parameters):
             if parameter.prior is not None:
@@ -162,7 +165,7 @@ class Problem:
         return Prior(centre, error)
 
     def until(self, times: Sequence[float]) -> Problem:
-        """Return the problem with each trial up to a time, s."""
+        """Return the problem with each trial cut off after a time, s."""
         cut = [trial.until(t) for trial, t in zip(self.trials, times, strict=True)]
         return Problem(cut, self.parameters, tick=self._count)
 
@@ -173,7 +176,7 @@ class Problem:
     # values
 
     def values(self, place: np.ndarray) -> tuple[dict[str, float], dict[str, float]]:
-        """Return fields of the scene by path, and errors of sensors by name, SI."""
+        """Return fields of the scene by path and errors of sensors by name at a place (d,), SI."""
         fields: dict[str, float] = {}
         sensors: dict[str, float] = {}
         for parameter, coordinate in zip(self.parameters, place[: self.shared], strict=True):
@@ -187,7 +190,10 @@ class Problem:
     def show(
         self, number: int, place: np.ndarray, more: Mapping[str, float] | None = None
     ) -> Shown | None:
-        """Return a trial at a place, with further values of fields; None if it does not work."""
+        """Simulate a trial at a place; None if it cannot be simulated.
+
+        ``more`` has values of further fields of the scene by path, SI.
+        """
         self._count()
         trial, own = self.trials[number], place[self.own(number)]
         fields, sensors = self.values(place)
@@ -198,7 +204,11 @@ class Problem:
         return Shown(motion, seen, residuals(trial, motion, seen, float(own[-1] * OWN_SIZE[-1])))
 
     def chi2(self, place: np.ndarray, prior: Prior) -> tuple[float, list[Shown]]:
-        """Return chi2 of data and prior, infinite if a trial does not work, and the trials."""
+        """Return chi2 of data and prior at a place, and the simulated trials.
+
+        If the place is out of range or a trial cannot be simulated, chi2 is infinite and the list
+        is empty.
+        """
         low, high = self.limits
         if np.any(place < low) or np.any(place > high):
             return math.inf, []
@@ -220,10 +230,10 @@ class Problem:
         covariance: np.ndarray | None,
         known: tuple[float, list[Shown]] | None = None,
     ) -> Linear:
-        """Return the problem at a place with its derivatives.
+        """Return the linear model of the problem at a place.
 
-        ``covariance`` (d, d) gives directions and lengths of the differences; None before any is
-        known.  ``known`` is the result of :meth:`chi2` there.
+        ``covariance`` (d, d) gives the directions and lengths of the differences; None for default
+        steps.  ``known`` is the result of :meth:`chi2` at the place, None to compute it.
         """
         chi2, shown = self.chi2(place, prior) if known is None else known
         k = self.shared
@@ -249,7 +259,10 @@ class Problem:
         return [i for i, parameter in enumerate(self.parameters) if parameter.paths]
 
     def _axes(self, covariance: np.ndarray | None) -> np.ndarray:
-        """Return the steps of the differences by parameters of the bench, columns of (m, m)."""
+        """Return the difference steps for the m parameters that are fields of the scene.
+
+        Each column of the result (m, m) is one step, in coordinates.
+        """
         bench = self._bench_parameters()
         if covariance is None or not bench:
             return np.eye(len(bench)) * _FIRST
@@ -263,7 +276,7 @@ class Problem:
     def _shared_columns(
         self, number: int, place: np.ndarray, one: Shown, axes: np.ndarray
     ) -> np.ndarray:
-        """Return the derivatives by the shared parameters, (n, k)."""
+        """Return the derivatives (n, k) of a trial's residuals by the shared coordinates."""
         bench, k = self._bench_parameters(), self.shared
         columns = np.zeros((one.residuals.size, k))
         if bench:
@@ -282,7 +295,7 @@ class Problem:
     def _own_columns(
         self, number: int, place: np.ndarray, one: Shown, covariance: np.ndarray | None
     ) -> np.ndarray:
-        """Return the derivatives by the numbers of the trial, (n, 7)."""
+        """Return the derivatives (n, 7) of a trial's residuals by the trial's own numbers."""
         begin = self.own(number).start
         columns = np.zeros((one.residuals.size, len(OWN)))
         for i in range(RELATIVE):
@@ -299,9 +312,10 @@ class Problem:
     def difference(
         self, number: int, place: np.ndarray, one: Shown, step: np.ndarray
     ) -> np.ndarray:
-        """Return the change of a trial's residuals along a step, by a central difference.
+        """Return the change (n,) of a trial's residuals for a step (d,), by a central difference.
 
-        Where a side is out of range or does not work, the other one counts alone.
+        If one side is out of range or cannot be simulated, the difference is one-sided.  If both
+        are, it is zero.
         """
         low, high = self.limits
         sides = []

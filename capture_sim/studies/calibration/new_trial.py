@@ -1,7 +1,7 @@
-"""Agreement of a new trial with a calibrated bench: noise, parameters and placement apart.
+"""Test whether a new trial agrees with a calibrated bench: noise, parameters and placement.
 
-The trial's own start and release are fitted with the calibrated values.  The linear model then
-gives the shift of the parameters, and the residuals that remain.
+The trial's own start and release are fitted with the calibrated values.  A linear model about this
+fit then gives the change of the parameters that the trial asks for, and the residuals that remain.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from capture_sim.studies.calibration.parameters import Parameter, begun_at, para
 from capture_sim.studies.calibration.prediction import Placement
 from capture_sim.studies.calibration.trial import trial_of
 
-#: A trial does not agree if a test gives less than this.
+#: Smallest p-value of a test at which a trial agrees with the calibration.
 LEAST_P = 1e-3
 
 
 class Comparison(NamedTuple):
-    """One comparison of a trial with a calibration."""
+    """One chi2 test of a trial against a calibration; ``p`` is the chance of a larger statistic."""
 
     name: str
     statistic: float  # chi2
@@ -39,23 +39,23 @@ class Comparison(NamedTuple):
 
     @property
     def agrees(self) -> bool:
-        """True unless chance alone hardly gives this."""
+        """True if the p-value is at least 0.001, so that chance can explain the difference."""
         return self.p >= LEAST_P
 
 
 class TrialAgreement(NamedTuple):
-    """Agreement of a trial with a calibration."""
+    """Tests of a trial against a calibration: of its noise, parameters and placement."""
 
     noise: Comparison
     parameters: Comparison
     placement: Comparison
-    furthest: str  # parameter that moves by most of its standard errors
+    furthest: str  # parameter that the trial changes by the most of its standard errors
     start: Start
     simulations: int
 
     @property
     def agrees(self) -> bool:
-        """True if every test agrees."""
+        """True if all three tests agree."""
         return self.noise.agrees and self.parameters.agrees and self.placement.agrees
 
     @property
@@ -74,7 +74,7 @@ class TrialAgreement(NamedTuple):
 
 
 def agreement_of(run: Run, calibrated: Calibrated, placement: Placement) -> TrialAgreement:
-    """Return how a trial agrees with a calibration.
+    """Test whether a trial agrees with a calibration.
 
     Parameters
     ----------
@@ -83,12 +83,12 @@ def agreement_of(run: Run, calibrated: Calibrated, placement: Placement) -> Tria
     calibrated
         Values and covariance of the bench.
     placement
-        Standard deviations of the start poses from those of the scene.
+        Standard deviations with which the vehicles are placed at the start poses of the scene.
 
     Raises
     ------
     SceneError
-        The calibration has a field that the trial's scene lacks.
+        The calibration has a field that the trial's scene lacks, or the trial cannot be simulated.
     RecordingError
         The trial has no poses, or breaks a rule of plausibility.
     """
@@ -134,7 +134,11 @@ def _parameters(run: Run, calibrated: Calibrated) -> list[Parameter]:
 def _parameter_test(
     at: Linear, covariance: np.ndarray, known: Sequence[Parameter]
 ) -> tuple[Comparison, str]:
-    """Return whether the trial's own parameters are the calibrated ones."""
+    """Return the test that the trial's parameters are the calibrated ones.
+
+    Also return the name of the parameter that the trial changes most.  ``covariance`` (k, k) is
+    that of the calibration, in coordinates.
+    """
     k = len(known)
     part = reduced(at, 0, k)
     # the trial's own estimate less the calibrated one has the sum of both covariances, which is
@@ -148,7 +152,7 @@ def _parameter_test(
     kept = values > 1e-6 * max(float(values[-1]), 1e-300)
     along = vectors.T @ slope
     statistic = float((along[kept] ** 2 / (values[kept] * (1.0 + values[kept]))).sum())
-    # where the parameters move to if both count
+    # change of the parameters if calibration and trial are combined
     moved = -root @ np.linalg.solve(information + np.eye(k), slope)
     sizes = np.abs(moved) / np.sqrt(np.diag(covariance))
     freedom = int(kept.sum())
@@ -157,7 +161,7 @@ def _parameter_test(
 
 
 def _noise_test(at: Linear, problem: Problem) -> Comparison:
-    """Return whether the residuals are noise once the parameters have moved."""
+    """Return the test that the residuals are noise after all parameters are fitted to the trial."""
     J, r = at.jacobians[0], at.shown[0].residuals
     moved = r - J @ (inverse(J.T @ J) @ (J.T @ r))
     left = at.shown[0]
@@ -174,7 +178,7 @@ def _noise_test(at: Linear, problem: Problem) -> Comparison:
 
 
 def _placement_test(start: Start, scene: Scene, placement: Placement) -> Comparison:
-    """Return whether the vehicles began where the scene has them."""
+    """Return the test that the vehicles started at the poses of the scene, within ``placement``."""
     expected = np.array([float(get(scene, path)) for path in STARTS])
     allowed = np.tile([placement.position, placement.position, placement.angle], 2)
     off = start.values - expected

@@ -1,8 +1,8 @@
-"""Fitted parameters: numbers of the bench and errors of its sensors, each on its own scale.
+"""Fitted parameters: numbers of the bench and errors of its sensors, each with a coordinate.
 
-A search moves in coordinates, in which all parameters have about the same size.  The coordinate is
-the logarithm of a number that must be positive; for any other number it is the number divided by
-its usual size.
+The search changes coordinates, in which all parameters have about the same size.  The coordinate is
+the logarithm of a positive value whose range excludes negative values.  For any other value, and
+for the restitution, it is the value divided by its usual size.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from capture_sim.scene.paths import ALIASES, get, paths_of, range_of, usual_size
 from capture_sim.scene.quantities import Declared, declared
 from capture_sim.scene.units import in_si
 
-#: Parameters that are fitted where none are named, as far as the scene has them.
+#: Parameters that are fitted by default, if they are positive numbers in the scene.
 DEFAULT = (
     *("c_rr", "e", "mu", "c_A", "buffer.k_A", "buffer.k_T"),
     *("chaser.mass", "target.mass", "chaser.inertia", "target.inertia"),
 )
-#: Start of the names of a trial's own start; they are always fitted.
+#: Start of the names of a trial's start poses, which are always fitted.
 START = "initial."
 
 
@@ -35,7 +35,7 @@ class SensorError:
 
     channel: tuple[str, ...]  # quantities that have it
     kind: str  # delay, scale or offset
-    value: float  # without an error
+    value: float  # value of a sensor without an error, SI
     size: float  # usual size of an error, SI
     unit: str
     words: str
@@ -80,7 +80,7 @@ class Weighed:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that is fitted, of the bench or of a sensor."""
+    """A fitted parameter: a number of the bench, or an error of a sensor."""
 
     name: str
     begin: float  # value where the search begins, SI
@@ -89,11 +89,14 @@ class Parameter:
     high: float
     paths: tuple[str, ...] = ()  # in the scene; empty for a sensor's error
     is_log: bool = False  # True if the coordinate is the logarithm
-    size: float = 1.0  # of a coordinate that is none, SI
+    size: float = 1.0  # unit of a coordinate that is no logarithm, SI
     weighed: Weighed | None = None
 
     def coordinate(self, value: float) -> float:
-        """Return the coordinate of a value, SI."""
+        """Return the coordinate of a value (SI).
+
+        It is minus infinity if it is a logarithm and the value is not positive.
+        """
         if self.is_log:
             return math.log(value) if value > 0.0 else -math.inf
         return value / self.size
@@ -108,12 +111,12 @@ class Parameter:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Range of the coordinate."""
+        """Lower and upper limit of the coordinate."""
         return self.coordinate(self.low), self.coordinate(self.high)
 
     @property
     def prior(self) -> tuple[float, float] | None:
-        """Coordinate that was weighed, and its standard error; None if none was."""
+        """Coordinate of the weighed value and its standard error; None if no value was weighed."""
         if self.weighed is None:
             return None
         centre = self.coordinate(self.weighed.value)
@@ -125,9 +128,10 @@ def parameters_of(
     names: Sequence[str] | None,
     weighed: Mapping[str, Weighed] | None = None,
 ) -> tuple[Parameter, ...]:
-    """Return the parameters of some names, None for the default ones, and all that were weighed.
+    """Return the parameters with some names, followed by all others that were weighed.
 
-    SceneError if a name is unknown or given twice, or if a weighed value is out of its range.
+    ``names``: None for those of ``DEFAULT`` that the scene has.  Raise SceneError if there is no
+    name, if a name is unknown, if two names set one field, or if a weighed value is out of range.
     """
     weighed = weighed or {}
     given = list(default_names(scene) if names is None else names)
@@ -151,7 +155,7 @@ def parameters_of(
 
 
 def default_names(scene: Scene) -> tuple[str, ...]:
-    """Return the default names that are positive numbers of a scene."""
+    """Return the names of ``DEFAULT`` that are positive numbers in a scene."""
 
     def has(name: str) -> bool:
         value = get(scene, (ALIASES.get(name) or (name,))[0])
@@ -201,7 +205,10 @@ _PLUS_MINUS = re.compile(r"\+-|\+/-|±")
 
 
 def read_weighed(scene: Scene, text: str) -> tuple[str, Weighed]:
-    """Return name and value of ``NAME=VALUE +- ERROR [UNIT]``; SceneError if it is no such text."""
+    """Return the name and the weighed value (SI) of a text ``NAME=VALUE +- ERROR [UNIT]``.
+
+    The error may be in percent of the value.  Raise SceneError if the text has another form.
+    """
     name, sign, given = (part.strip() for part in text.partition("="))
     parts = [part.strip() for part in _PLUS_MINUS.split(given)]
     if not sign or len(parts) != 2:

@@ -1,4 +1,4 @@
-"""Predictions of a calibrated bench for a new trial: its figures with their error bands."""
+"""Prediction of a new trial of a calibrated bench: peak loads and series with 95 % bands."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from capture_sim.scene.paths import with_values
 from capture_sim.scene.units import in_si
 from capture_sim.studies.calibration.parameters import Parameter
 
-#: Loads that are predicted.
+#: Keys of the predicted loads.
 FIGURES = ("max_axial_stroke_in", "max_axial_stroke_out", "max_torsion", "max_normal_force")
-#: Series of which the band is drawn.
+#: Predicted series.
 SERIES = ("stroke", "torsion")
-#: Draws of a prediction; a standard deviation is then known to 5 %.
+#: Number of random draws in a prediction, which gives a standard deviation to 5 %.
 DRAWS = 200
-#: Shares of the band.
+#: Quantiles at the ends of the 95 % band.
 LOW, HIGH = 0.025, 0.975
 #: Rate of the series, Hz.
 _RATE = 200.0
@@ -37,7 +37,10 @@ class Placement:
 
 
 def read_placement(text: str) -> Placement:
-    """Return the placement of ``'0.2 mm, 1 mrad'``; SceneError if it is no such text."""
+    """Return the placement that a text such as ``'0.2 mm, 1 mrad'`` describes.
+
+    Raise SceneError if the text has another form, or if a value is not in [0, 1) m or rad.
+    """
     parts = [part.strip() for part in text.split(",")]
     try:
         if len(parts) != 2:
@@ -54,19 +57,19 @@ def read_placement(text: str) -> Placement:
 
 @dataclass(frozen=True)
 class PredictedLoad:
-    """A predicted load, SI."""
+    """A predicted load with its 95 % band, SI; ``name`` is a key of FIGURES."""
 
     name: str
     value: float  # at the calibrated values
-    error: float  # standard deviation by the parameters' errors alone
-    low: float  # ends of the 95 % band, with the placement if it is given
+    error: float  # standard deviation due to the parameters' errors alone
+    low: float  # ends of the 95 % band, including errors of the placement if there are any
     high: float
-    spread: float  # standard deviation of that band
+    spread: float  # standard deviation with the same errors as the band
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Figures and series of a trial to come."""
+    """Predicted loads and series of a future trial."""
 
     scene: Scene
     placement: Placement | None
@@ -86,14 +89,14 @@ def predict(
     draws: int = DRAWS,
     seed: int = 0,
 ) -> Prediction:
-    """Return what a scene does with calibrated parameters.
+    """Return the predicted loads and series of a scene with calibrated parameters.
 
     Parameters
     ----------
     scene
-        Scene of the trial to come, with its launch.
+        Scene of the future trial, with its launch.
     parameters, coordinates, covariance
-        The shared parameters, their coordinates (k,) and the covariance (k, k) of these.
+        The shared parameters, their coordinates (k,), and the covariance (k, k) of the coordinates.
     placement
         Errors of the placement of both vehicles; None for a trial placed exactly.
     draws
@@ -104,7 +107,7 @@ def predict(
     Raises
     ------
     SceneError, SimulationError
-        The scene cannot be simulated with the calibrated values.
+        The scene cannot be simulated with the calibrated values, or in fewer than three draws.
     """
     rng = np.random.default_rng(seed)
     values, vectors = np.linalg.eigh(covariance)
@@ -160,7 +163,10 @@ def predict(
 
 
 def _run(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return times (n,), figures (4,) and series (2, n) of a run."""
+    """Simulate a scene; return times (n,), loads (4,) and series (2, n).
+
+    They are in the order of FIGURES and SERIES, SI.  A load that the run does not have is NaN.
+    """
     bench = Bench(scene)
     samples = bench.advance(np.arange(0.0, scene.run.t_end, 1.0 / _RATE))
     bench.advance(np.zeros(0))
@@ -174,6 +180,6 @@ def _run(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def shown_figure(name: str) -> tuple[str, float, str]:
-    """Return meaning, factor and unit of a load as it is displayed."""
+    """Return how a load is displayed: its meaning in words, factor from SI, and unit."""
     load = next(load for load in LOADS if load.key == name)
     return load.meaning, load.factor, load.shown_in

@@ -1,9 +1,9 @@
 """A trial for the fit: its measurements up to the first hold, and the corresponding simulation.
 
-The position of a bench on the floor has no effect: a common translation and rotation of both
-vehicles moves all poses exactly.  The release and the delays of sensors shift times, and the rates
-give the effect.  So of the seven numbers that belong to each trial, only three need simulations:
-the target's pose relative to the chaser.
+Seven numbers of each trial are fitted: the target's pose relative to the chaser, the pose of both
+vehicles on the floor, and the release.  Only derivatives by the first three need simulations.  A
+common translation and rotation of both vehicles moves all poses exactly.  Release and sensor delays
+only shift times, so their derivatives follow from the rates.
 """
 
 from __future__ import annotations
@@ -26,37 +26,42 @@ from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import with_values
 from capture_sim.studies.calibration.parameters import SENSOR_ERRORS
 
-#: Numbers of a trial: place of the target relative to the chaser, common place, release.
+#: Numbers of a trial: pose of the target relative to the chaser, common pose, and release.
 OWN = ("along", "across", "turned", "x", "y", "theta", "release")
 #: Units of their coordinates: m, m, rad, m, m, rad, s.
 OWN_SIZE = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3])
-#: Those that need simulations.
+#: How many of them, the first ones, have derivatives that need simulations.
 RELATIVE = 3
 POSES = ("chaser", "target")
-#: Topic whose first message after the release that holds the chaser ends the trial.
+#: Topic whose first message after the release with the value True ends the trial.
 HOLD = "/launcher/hold"
-#: The driver may act on a message before the recorder has written it, s.
+#: Time before the recorded hold at which a trial ends, s: the launcher may act on the message
+#: before the recorder writes it.
 _HOLD_MARGIN = 0.01
-#: Poses whose arrivals map a log time to stamps.
+#: Number of poses nearest to a log time that map it to stamps.
 _NEAR = 15
-#: A sensor of the buffer shows the contact at this share of its largest value, and at this many
-#: standard deviations.
+#: A sensor of the buffer shows a contact if its change from the start exceeds this share of the
+#: largest change, and this number of standard deviations.
 _SHOWS, _SHOWS_NOISE = 0.03, 8.0
-#: Residual, in units of noise, of a touch that the simulation has not.
+#: Residual, in units of noise, of a measured touch that the simulation lacks.
 MISSING = 1e3
 
 
 class MeasuredChannel(NamedTuple):
-    """Measured values of one quantity."""
+    """Measured values of one quantity, such as the stroke, in a trial."""
 
     name: str
-    t: np.ndarray  # (n,), s, ascending; since the release that is assumed
+    t: np.ndarray  # (n,), s since the assumed release, ascending
     values: np.ndarray  # (n, m), SI
     sigma: np.ndarray  # (m,), standard deviations
 
 
 class SimulatedMotion(NamedTuple):
-    """Readings of the sensors in a simulated trial, in the scene's own frame."""
+    """Simulated motion of a trial at the measured times, shifted by release and sensor delays.
+
+    It is in the frame of the scene.  The trial's common pose, and scales and offsets of sensors,
+    are not yet applied; see :func:`view`.
+    """
 
     values: tuple[np.ndarray, ...]  # (n, m) of each channel
     rates: tuple[np.ndarray, ...]  # (n, m) of each; zero before the release
@@ -65,29 +70,32 @@ class SimulatedMotion(NamedTuple):
 
 @dataclass(frozen=True)
 class FittedTrial:
-    """A trial as it is fitted."""
+    """A trial prepared for a fit: its scene, measurements, contact and end."""
 
     name: str
     scene: Scene  # with the launch as commanded
     channels: tuple[MeasuredChannel, ...]
-    contact: float  # first contact as measured, s; infinite without one
-    end: float  # s, of what is used
-    cut: float  # s, of the first hold after the release; infinite without one
+    contact: float  # measured first contact, s; infinite without a contact
+    end: float  # s, end of the measurements used
+    cut: float  # s, first hold after the release; infinite without a hold
     is_release_fitted: bool
     touches: Touches | None = None
 
     @property
     def size(self) -> int:
-        """Number of measured values."""
+        """Number of residuals: measured values, and two of each touch."""
         return sum(channel.values.size for channel in self.channels) + self.touch_rows
 
     @property
     def touch_rows(self) -> int:
-        """Number of residuals of touches."""
+        """Number of residuals of touches, two of each: time and strength."""
         return 0 if self.touches is None else 2 * self.touches.start.size
 
     def until(self, t: float) -> FittedTrial:
-        """Return the trial up to a time, s; touches count only if all of it is used."""
+        """Return the trial with the measurements up to a time, s.
+
+        Unless that is the whole trial, its touches are left out.
+        """
         if t >= self.end:
             return self
         kept = tuple(
@@ -97,7 +105,10 @@ class FittedTrial:
         return dataclasses.replace(self, channels=kept, touches=None)
 
     def with_noise(self, sigma: Mapping[str, np.ndarray]) -> FittedTrial:
-        """Return the trial with other standard deviations by channel."""
+        """Return the trial with other standard deviations of the noise, (m,) by channel, SI.
+
+        Channels that ``sigma`` lacks keep theirs.
+        """
         channels = tuple(c._replace(sigma=sigma.get(c.name, c.sigma)) for c in self.channels)
         return dataclasses.replace(self, channels=channels)
 
@@ -121,17 +132,17 @@ def trial_of(
     noise
         Standard deviations by series, one for each of its parts; missing ones are estimated.
     until
-        End of what is used, s; the first hold after the release and the end of the scene's run end
-        it earlier.
+        End of the measurements that are used, s.  An earlier hold after the release, or the end of
+        the scene's run, ends them earlier.
     is_release_fitted
         False if the release is known exactly.
 
     Raises
     ------
     RecordingError
-        The run has no poses of a vehicle.
+        The run has no poses of a vehicle before the end.
     SceneError
-        All measurements are of one instant.
+        All measurements have the same time.
     """
     name = run.origin.path or run.name
     scene = launched(run)
@@ -173,7 +184,10 @@ def trial_of(
 
 
 def resolved(touches: Touches, scene: Scene) -> Touches | None:
-    """Return the touches; None if the scene's touches are too short for the force's sample rate."""
+    """Return the touches, or None if their force was sampled too slowly to find all of them.
+
+    The simulated touches of the scene give the durations that the samples must resolve.
+    """
     bench = Bench(scene)
     bench.advance(np.zeros(0))
     met = bench.touches[np.argsort(bench.touches["start"], kind="stable")][: touches.start.size]
@@ -181,9 +195,10 @@ def resolved(touches: Touches, scene: Scene) -> Touches | None:
 
 
 def launched(run: Run) -> Scene:
-    """Return the scene of a run with the launch as it was commanded.
+    """Return the scene of a run with the hanging mass and drop height of its launch.
 
-    The mass on the string is as commanded; it does not follow the fitted parameters.
+    The values come from the recorded launch, or else from the plan that the scene gives.  They are
+    fixed, so that they do not change with the fitted parameters.
     """
     scene = run.scene
     if scene.string is None:
@@ -199,10 +214,11 @@ def launched(run: Run) -> Scene:
 
 
 def hold_after_release(run: Run) -> float:
-    """Return when the launcher holds the chaser again, s since the release; infinite if never.
+    """Return the time of the first hold after the release, s since the release, less 10 ms.
 
-    The message has no stamp: its log time is mapped to stamps by the poses that were logged near
-    it, as the offset changes by 0.1 s while the nodes start.
+    It is infinite if the launcher did not hold the chaser again.  The message has no stamp, so its
+    log time is converted to a stamp with the poses that were logged at nearly the same time.  Other
+    poses would not do, because the offset changes by 0.1 s while the nodes start.
     """
     if run.is_exact or HOLD not in run.tables:
         return math.inf
@@ -238,7 +254,7 @@ def scatter(series: Series) -> np.ndarray:
 
 
 def _contact(channels: list[MeasuredChannel]) -> float:
-    """Return when stroke or torsion first show a contact, s; infinite if they never do."""
+    """Return the time at which stroke or torsion first show a contact, s; infinite if none does."""
     first = math.inf
     for channel in channels:
         if channel.name in POSES or channel.t.size < 8:
@@ -261,7 +277,7 @@ def simulate(
     own: np.ndarray,
     sensors: Mapping[str, float],
 ) -> SimulatedMotion | None:
-    """Return the simulated trial; None if the bench does not work there.
+    """Simulate the motion of a trial; return None if it cannot be simulated with these values.
 
     Parameters
     ----------
@@ -315,7 +331,7 @@ def simulate(
 
 
 def _seen(name: str, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return coordinates (n, m) of a quantity, and their rates."""
+    """Return values (n, m) and rates of a measured quantity, from ``q`` and ``v`` (n, 8)."""
     if name == "chaser":
         return q[:, 0:3], v[:, 0:3]
     if name == "target":
@@ -326,7 +342,7 @@ def _seen(name: str, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def delay_of(name: str, sensors: Mapping[str, float]) -> float:
-    """Return the delay of a channel, s."""
+    """Return the sum of the delays in ``sensors`` that apply to a channel, s."""
     return sum(
         value
         for error, value in sensors.items()
@@ -335,17 +351,21 @@ def delay_of(name: str, sensors: Mapping[str, float]) -> float:
 
 
 class View(NamedTuple):
-    """A simulated trial as its sensors show it, with the derivatives that need no simulation."""
+    """Simulated sensor readings of a trial, with the derivatives that need no simulation."""
 
     values: tuple[np.ndarray, ...]  # (n, m) of each channel
-    rates: tuple[np.ndarray, ...]  # (n, m)
-    turning: tuple[np.ndarray, ...]  # (n, m), derivative by a common rotation
+    rates: tuple[np.ndarray, ...]  # (n, m), derivatives by time
+    turning: tuple[np.ndarray, ...]  # (n, m), derivatives by a common rotation
 
 
 def view(
     trial: FittedTrial, motion: SimulatedMotion, own: np.ndarray, sensors: Mapping[str, float]
 ) -> View:
-    """Return the readings of the sensors, with the trial's common placement and sensor errors."""
+    """Return the sensor readings of a simulated motion, with common pose, scales and offsets.
+
+    ``own`` (7,) has the numbers of the trial in units of :data:`OWN_SIZE`.  ``sensors`` has the
+    errors by name, SI.
+    """
     *_, x, y, theta, _ = (own * OWN_SIZE).tolist()
     chaser = trial.scene.initial.chaser
     c, s = math.cos(theta), math.sin(theta)
@@ -379,7 +399,10 @@ def view(
 def residuals(
     trial: FittedTrial, motion: SimulatedMotion, seen: View, release: float
 ) -> np.ndarray:
-    """Return measured less simulated, (n,), in units of noise; ``release`` in s."""
+    """Return the residuals (n,): measured minus simulated values, in units of the noise.
+
+    Those of the touches come last.  ``release`` is in s.
+    """
     parts = [
         ((channel.values - values) / channel.sigma).ravel()
         for channel, values in zip(trial.channels, seen.values, strict=True)
@@ -405,9 +428,9 @@ def _touch_residuals(trial: FittedTrial, motion: SimulatedMotion, release: float
 
 
 def exact_columns(trial: FittedTrial, seen: View) -> np.ndarray:
-    """Return the derivatives of the residuals by x, y, theta and release, (n, 4).
+    """Return the derivatives (n, 4) of the residuals by x, y, theta and release of the trial.
 
-    They need no simulation.
+    These numbers are in units of :data:`OWN_SIZE`.  No simulation is needed.
     """
     columns = []
     for k in range(4):
@@ -430,7 +453,7 @@ def exact_columns(trial: FittedTrial, seen: View) -> np.ndarray:
 
 
 def sensor_column(trial: FittedTrial, motion: SimulatedMotion, seen: View, name: str) -> np.ndarray:
-    """Return the derivative of the residuals by an error of a sensor, SI, (n,)."""
+    """Return the derivative (n,) of the residuals by the sensor error with a name, in SI units."""
     error = SENSOR_ERRORS[name]
     parts = []
     for channel, at, values, rate in zip(
