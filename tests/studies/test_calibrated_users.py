@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from measured_trials import measured_trial, short_scene
 
 from capture_sim.errors import SceneError
 from capture_sim.studies.axes import make_axis
+from capture_sim.studies.calibration import prediction
 from capture_sim.studies.calibration.files import (
     KIND,
     Calibrated,
@@ -17,6 +20,7 @@ from capture_sim.studies.calibration.files import (
     read_calibrated,
 )
 from capture_sim.studies.calibration.new_trial import agreement_of
+from capture_sim.studies.calibration.parameters import parameters_of
 from capture_sim.studies.calibration.prediction import Placement
 from capture_sim.studies.sampling import make_samples
 
@@ -97,3 +101,38 @@ def test_a_trial_is_compared_with_a_calibrated_bench(true, shift, said):
     found = agreement_of(run, BENCH, Placement(2e-4, 1e-3))
     assert said in found.sentence
     assert found.agrees == (said == "the trial agrees with the calibration")
+
+
+def test_a_parameter_may_be_known_exactly():
+    covariance = BENCH.covariance.copy()
+    covariance[0] = covariance[:, 0] = 0.0
+    exact = replace(BENCH, covariance=covariance)
+    run = measured_trial(short_scene(0.1), TRUE, 3)
+    with np.errstate(all="raise"):
+        found = agreement_of(run, exact, Placement(2e-4, 1e-3))
+    assert found.agrees
+    assert found.parameters.freedom <= 2
+    assert found.furthest != "c_rr"
+
+
+@pytest.mark.parametrize("placement", [None, Placement(1e-4, 1e-4)])
+def test_a_draw_is_simulated_once_for_each_kind_of_error(monkeypatch, placement):
+    simulated = []
+
+    def counted(scene):
+        simulated.append(scene)
+        if len(simulated) == 5:
+            raise SceneError("a draw that fails")
+        return run(scene)
+
+    run = prediction._run
+    monkeypatch.setattr(prediction, "_run", counted)
+    scene = short_scene(0.1)
+    parameters = parameters_of(scene, NAMES)
+    place = np.array([p.coordinate(p.begin) for p in parameters])
+    found = prediction.predict(scene, parameters, place, 1e-6 * np.eye(3), placement, draws=6)
+    assert found.failed == 1
+    # the bench itself, then each draw without and perhaps with errors of the placement
+    assert len(simulated) == (1 + 6 if placement is None else 1 + 2 * 6)
+    if placement is None:
+        assert all(f.error == f.spread for f in found.figures if not math.isnan(f.value))

@@ -142,10 +142,9 @@ def _parameter_test(
     k = len(known)
     part = reduced(at, 0, k)
     # the trial's own estimate less the calibrated one has the sum of both covariances, which is
-    # taken in the units of the calibration's errors
-    root = np.linalg.cholesky(
-        covariance + 1e-18 * np.eye(k) * max(float(np.trace(covariance)), 1.0)
-    )
+    # taken in the units of the calibration's errors; a parameter may be known exactly
+    variances, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(np.maximum(variances, 0.0))
     information = root.T @ part.hessian @ root
     slope = root.T @ part.gradient
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
@@ -154,7 +153,8 @@ def _parameter_test(
     statistic = float((along[kept] ** 2 / (values[kept] * (1.0 + values[kept]))).sum())
     # change of the parameters if calibration and trial are combined
     moved = -root @ np.linalg.solve(information + np.eye(k), slope)
-    sizes = np.abs(moved) / np.sqrt(np.diag(covariance))
+    deviations = np.sqrt(np.diag(covariance).clip(0.0))
+    sizes = np.divide(np.abs(moved), deviations, out=np.zeros(k), where=deviations > 0.0)
     freedom = int(kept.sum())
     test = Comparison("parameters", statistic, freedom, chi2_tail(statistic, freedom))
     return test, known[int(np.argmax(sizes))].name

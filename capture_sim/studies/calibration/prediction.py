@@ -138,13 +138,14 @@ def predict(
         place = coordinates + root @ rng.standard_normal(values.size)
         shift = spread * rng.standard_normal((2, 3))
         try:
-            own.append(_run(at(place, nowhere))[1])
-            _, figures, course = _run(at(place, shift)) if placement else (t, own[-1], None)
-            if course is None:
-                _, figures, course = _run(at(place, nowhere))
+            _, placed_exactly, course = _run(at(place, nowhere))
+            figures = placed_exactly
+            if placement is not None:
+                _, figures, course = _run(at(place, shift))
         except (SceneError, SimulationError):
             failed += 1
             continue
+        own.append(placed_exactly)
         both.append(figures)
         courses.append(course)
     if len(both) < 3:
