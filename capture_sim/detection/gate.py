@@ -31,7 +31,7 @@ MARGIN = 2.0
 #: Least relative speed, m/s: vehicles at rest may be pushed by hand.
 MIN_SPEED = 0.05
 #: Smaller innovations (m, rad) are no outliers: steps of quantised poses, delays of stamps.
-LEAST = (2e-3, 5e-3)
+MIN_INNOVATION = (2e-3, 5e-3)
 #: A jump that stays for longer than this is a new place of the vehicle, s.
 JUMP_TIME = 0.3
 #: Poses that contradict each other are held back no longer than this, s.
@@ -273,8 +273,8 @@ class Gate:
         distance, turn = self._innovation(a, b)
         change = self._speed * min(b.t - a.t, longest)
         x, y, theta = (GATE * _SQRT2 * noise.deviation for noise in self._noise)
-        return distance <= max(self._limits.velocity * change + max(x, y), LEAST[0]) and (
-            turn <= max(self._limits.spin * change + theta, LEAST[1])
+        return distance <= max(self._limits.velocity * change + max(x, y), MIN_INNOVATION[0]) and (
+            turn <= max(self._limits.spin * change + theta, MIN_INNOVATION[1])
         )
 
     def _accept(self, pose: Pose) -> None:

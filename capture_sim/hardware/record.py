@@ -22,7 +22,7 @@ from capture_sim.run.run import ExactRun, Run
 from capture_sim.scene.parts import PlanarState, Scene
 
 #: Events of the stage that its record keeps; the touches of a law are found as those of a rig.
-_KEPT = {
+_RECORDED_EVENTS = {
     *(EventKind.STOP_HIT, EventKind.STOP_LEFT, EventKind.SEATED, EventKind.UNSEATED),
     EventKind.LATCHED,
 }
@@ -48,7 +48,7 @@ class LoopRecord:
         _fill_walls(samples, Walls(scene))
         touches = touches_in_samples(samples, {})
         _fill_speeds(touches, samples)
-        own = [event for event in self._stage.events if event.kind in _KEPT]
+        own = [event for event in self._stage.events if event.kind in _RECORDED_EVENTS]
         events = sorted([*own, *_events(samples, touches)], key=lambda event: event.t)
         given = Given(
             scene=scene,

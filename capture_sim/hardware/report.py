@@ -12,16 +12,16 @@ from capture_sim.hardware.loop import Loop
 from capture_sim.hardware.pacing import LoopPacer
 
 #: Latencies and round trips that are kept.
-_KEPT = 100_000
+_MAX_LATENCIES = 100_000
 
 
 class Timing:
     """Latencies in simulated time, and round trips in wall time, of each position."""
 
     def __init__(self) -> None:
-        self._sent: deque[tuple[float, float]] = deque(maxlen=_KEPT)  # stamp, s (wall)
-        self.latencies: deque[float] = deque(maxlen=_KEPT)
-        self.round_trips: deque[float] = deque(maxlen=_KEPT)
+        self._sent: deque[tuple[float, float]] = deque(maxlen=_MAX_LATENCIES)  # stamp, s (wall)
+        self.latencies: deque[float] = deque(maxlen=_MAX_LATENCIES)
+        self.round_trips: deque[float] = deque(maxlen=_MAX_LATENCIES)
 
     def sent(self, stamp: float, now: float) -> None:
         """Note when (s, wall) a position was sent."""

@@ -29,7 +29,7 @@ NAMED = 20.0
 #: A step of a candidate changes chi2 by about one; beyond these factors it is corrected (twice).
 _TOO_SMALL, _TOO_LARGE = 0.2, 5.0
 #: Largest decrease of the distance to the end of a range, as a power of e.
-_MOST_DECREASE = 5.0
+_MAX_DECREASE = 5.0
 #: A stop is tried at this share of the longest stroke that was measured.
 _STOP_SHARE, _STOP_STIFFNESS = 0.95, 2e4
 
@@ -183,7 +183,7 @@ def possible(value: float, estimate: float, low: float, high: float) -> float:
     for end in (low, high):
         left = end - value
         if left != 0.0 and math.isfinite(left) and (share := (estimate - value) / left) >= 1.0:
-            return end - left * math.exp(-min(share, _MOST_DECREASE))
+            return end - left * math.exp(-min(share, _MAX_DECREASE))
     return min(max(estimate, low), high)
 
 

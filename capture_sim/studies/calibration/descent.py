@@ -33,18 +33,18 @@ _STEPS, _STEPS_EARLY = 12, 5
 #: the values added and so many standard deviations of noise; else it starts again from so many
 #: draws, and the step of the horizon is halved down to this, s, at most so often.
 _EXCESS, _EXCESS_NOISE = 1.15, 4.0
-_DRAWN, _FINEST, _MOST_HALVED = 2, 0.03, 5
+_DRAWS, _MIN_HORIZON_STEP, _MAX_HALVINGS = 2, 0.03, 5
 #: Damping of the first step, relative to the diagonal, and its change after a step.
 _DAMPING, _EASIER, _HARDER, _STIFFEST = 1e-3, 0.1, 8.0, 1e4
 #: Longest step of a shared parameter, in coordinates.
-_LONGEST_STEP = 0.7
+_MAX_STEP = 0.7
 #: Restarts begin so many standard errors from the best place.
 _AWAY = 1.5
 #: A draw at which a trial does not work, or is another motion, as where the tip starts in a wall,
 #: is taken nearer by these shares.  It is another motion if chi2 is higher by so much a parameter.
 _NEARER, _USABLE = (1.0, 0.5, 0.25, 0.125), 1000.0
 #: Restarts that a fit makes at least, and at most if one of them finds a better place.
-RESTARTS, _MOST_RESTARTS = 4, 10
+RESTARTS, _MAX_RESTARTS = 4, 10
 #: A restart that ends lower than this is a better place; kinks leave a roughness of a few units.
 _BETTER = 0.5
 #: How far the release is searched from the one that is assumed, s, later at least to the contact,
@@ -104,7 +104,7 @@ def descend(
             move[free] = -np.linalg.solve(damped[np.ix_(free, free)], at.gradient[free])
             # without information a step has no size: none is longer than the parameter's own
             longest = float(np.abs(move[: problem.shared]).max(initial=0.0))
-            move *= min(1.0, _LONGEST_STEP / max(longest, 1e-300))
+            move *= min(1.0, _MAX_STEP / max(longest, 1e-300))
             there = np.clip(at.place + move, low, high)
             known = problem.chi2(there, prior)
             if known[0] < at.chi2:
@@ -221,7 +221,7 @@ def grow(
     contacts = [trial.contact for trial in problem.trials]
     if not any(map(math.isfinite, contacts)):
         return stage.place, None
-    waiting, reached, spare = list(HORIZON), -math.inf, _MOST_HALVED
+    waiting, reached, spare = list(HORIZON), -math.inf, _MAX_HALVINGS
     while waiting:
         after = waiting[0]
         ends = [contact + after for contact in contacts]
@@ -232,7 +232,7 @@ def grow(
         ended = _stage_fit(part, stage, prior, spare, rng, keep)
         if ended is None:
             break
-        is_far = math.isfinite(reached) and after - reached > _FINEST and after > 0.0
+        is_far = math.isfinite(reached) and after - reached > _MIN_HORIZON_STEP and after > 0.0
         if spare > 0 and is_far and not ended.explains_more_than(stage):
             spare -= 1
             waiting.insert(0, 0.5 * (after + reached))
@@ -276,7 +276,7 @@ def _stage_fit(
         low, high = part.limits
         starts += [
             np.clip(stage.place + root @ rng.standard_normal(values.size), low, high)
-            for _ in range(_DRAWN)
+            for _ in range(_DRAWS)
         ]
     for place in starts:
         search = descend(
@@ -314,7 +314,7 @@ def restart(
     best = found
     ends: list[EndedSearch] = []
     since_best, tried = 0, 0
-    while since_best < count and tried < (_MOST_RESTARTS if count else 0):
+    while since_best < count and tried < (_MAX_RESTARTS if count else 0):
         tried += 1
         report(f"restart {tried}")
         at = best.linear

@@ -26,7 +26,7 @@ from capture_sim.studies.calibration.prediction import Placement
 from capture_sim.studies.calibration.trial import trial_of
 
 #: A trial does not agree if a test gives less than this.
-LEAST_P = 1e-3
+MIN_P = 1e-3
 
 
 class Comparison(NamedTuple):
@@ -40,7 +40,7 @@ class Comparison(NamedTuple):
     @property
     def agrees(self) -> bool:
         """True unless chance alone hardly gives this."""
-        return self.p >= LEAST_P
+        return self.p >= MIN_P
 
 
 class TrialAgreement(NamedTuple):
