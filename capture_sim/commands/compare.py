@@ -32,7 +32,7 @@ from capture_sim.studies.calibration.files import read_calibrated
 from capture_sim.studies.calibration.new_trial import agreement_of
 from capture_sim.studies.calibration.prediction import read_placement
 from capture_sim.studies.compare import (
-    LEAST,
+    MIN_SAMPLES,
     Gap,
     Side,
     characteristics,
@@ -261,18 +261,18 @@ def _check_window(a: Side, b: Side, window: float) -> float:
             int(overlap(mine[n], theirs[n], a.contact, b.contact, until)[1].min()) for n in shared
         )
 
-    if most(ended) < LEAST:
+    if most(ended) < MIN_SAMPLES:
         raise RecordingError(
             f"the recordings have only {ended:.4g} s after the first contact in common, with "
-            f"fewer than {LEAST} samples"
+            f"fewer than {MIN_SAMPLES} samples"
         )
-    if most(window) < LEAST:
+    if most(window) < MIN_SAMPLES:
         rates = {n: min(mine[n].rate, theirs[n].rate) for n in shared}
         finest = max(rates, key=lambda n: rates[n])
         raise RecordingError(
-            f"--window {window:g} s: must be {LEAST / rates[finest]:.4g} s ({LEAST} samples of "
-            f"the {finest}: {_source(a.sources[finest], b.sources[finest])}) to {ended:.4g} s, "
-            "where one of the recordings ends"
+            f"--window {window:g} s: must be {MIN_SAMPLES / rates[finest]:.4g} s ({MIN_SAMPLES} "
+            f"samples of the {finest}: {_source(a.sources[finest], b.sources[finest])}) "
+            f"to {ended:.4g} s, where one of the recordings ends"
         )
     return float(ended)
 

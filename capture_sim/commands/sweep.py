@@ -90,7 +90,7 @@ EXAMPLE = """\
   capture-sim sweep paper_designed --vary approach.angle='-30 deg:30 deg:13' \\
     --vary approach.offset='-50 mm:50 mm:11' --out runs/map.parquet"""
 #: Number of runs below which the percentiles are printed with their intervals.
-_FEW_RUNS = 500
+_INTERVALS_BELOW = 500
 _WORST = 3  # runs whose commands are printed; those of all runs are in the table
 _FAILURES = 3  # kinds of them that are printed
 
@@ -475,7 +475,7 @@ def _print_loads(rows: pandas.DataFrame, *, is_grid: bool) -> None:
 
 
 def _quantile_text(found: Quantile, runs: int) -> str:
-    if runs >= _FEW_RUNS or found.low == found.high or runs == 1:
+    if runs >= _INTERVALS_BELOW or found.low == found.high or runs == 1:
         return f"{found.value:.4g}"
     low, high = ("-" if np.isnan(end) else f"{end:.3g}" for end in (found.low, found.high))
     return f"{found.value:.4g} ({low}..{high})"

@@ -34,7 +34,7 @@ MARGIN = 2.0
 MIN_SPEED = 0.05
 #: Smaller differences from the prediction (m, rad) are always accepted, because steps of quantised
 #: poses and delays of stamps cause them.
-LEAST = (2e-3, 5e-3)
+MIN_INNOVATION = (2e-3, 5e-3)
 #: If poses agree at a new place for longer than this, s, the vehicle has moved there.
 JUMP_TIME = 0.3
 #: Longest time for which poses that contradict each other are held back, s.
@@ -290,8 +290,8 @@ class Gate:
         distance, turn = self._innovation(a, b)
         change = self._speed * min(b.t - a.t, longest)
         x, y, theta = (GATE * _SQRT2 * noise.deviation for noise in self._noise)
-        return distance <= max(self._limits.velocity * change + max(x, y), LEAST[0]) and (
-            turn <= max(self._limits.spin * change + theta, LEAST[1])
+        return distance <= max(self._limits.velocity * change + max(x, y), MIN_INNOVATION[0]) and (
+            turn <= max(self._limits.spin * change + theta, MIN_INNOVATION[1])
         )
 
     def _accept(self, pose: Pose) -> None:

@@ -12,7 +12,7 @@ import math
 from typing import NamedTuple
 
 #: A squared distance is not significantly above 0 below this number of its standard errors.
-_LEAST = 2.0
+_MIN_SIGNIFICANCE = 2.0
 #: Number of standard errors in the upper limit of such a squared distance.
 _BOUND = 3.0
 #: Number of standard errors added to a squared distance before comparison, so that an uncertain
@@ -81,7 +81,7 @@ class ClosestApproach:
             return self._exact, 0.0
         square = 0.5 * sum(self._squares)
         deviation = 0.5 * math.sqrt(sum(self._variances))
-        if square <= _LEAST * deviation:
+        if square <= _MIN_SIGNIFICANCE * deviation:
             return math.sqrt(max(square, 0.0) + _BOUND * deviation), math.inf
         distance = math.sqrt(square)
         return distance, 0.5 * deviation / distance

@@ -27,9 +27,9 @@ _MARGIN = 1e-3
 #: than the second number times the longest such row at rest.
 _FROZEN_READINGS, _FROZEN_ROWS = 10, 3
 #: Stiffness of the softest expected wall if no law is known, N/m.
-_LEAST_STIFFNESS = 500.0
+_MIN_STIFFNESS = 500.0
 #: Stiffness of the softest expected wall, as a share of its law's stiffness.
-_LEAST_SHARE = 0.05
+_MIN_STIFFNESS_SHARE = 0.05
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,11 @@ class Guard:
 
     def __init__(self, stage: LoopStage, limits: LoopLimits, law: WallLaw = NO_LAW) -> None:
         self._stage, self._limits = stage, limits
-        self._expected = WallLaw(_LEAST_STIFFNESS, offset=law.offset)
+        self._expected = WallLaw(_MIN_STIFFNESS, offset=law.offset)
         if law.stiffness > 0.0:
-            self._expected = replace(law, stiffness=_LEAST_SHARE * law.stiffness, damping=0.0)
+            self._expected = replace(
+                law, stiffness=_MIN_STIFFNESS_SHARE * law.stiffness, damping=0.0
+            )
         self._reference = stage.energy  # J, minimum before the touch
         self._sent: deque[TipState] = deque(maxlen=2)
         self._max_row = math.inf  # identical readings in a row

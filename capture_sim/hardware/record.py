@@ -23,7 +23,7 @@ from capture_sim.run.run import ExactRun, Run
 from capture_sim.scene.parts import PlanarState, Scene
 
 #: Events of the stage that the record keeps.  Touches are always determined from the samples.
-_KEPT = {
+_RECORDED_EVENTS = {
     *(EventKind.STOP_HIT, EventKind.STOP_LEFT, EventKind.SEATED, EventKind.UNSEATED),
     EventKind.LATCHED,
 }
@@ -49,7 +49,7 @@ class LoopRecord:
         _fill_walls(samples, Walls(scene))
         touches = touches_in_samples(samples, {})
         _fill_speeds(touches, samples)
-        own = [event for event in self._stage.events if event.kind in _KEPT]
+        own = [event for event in self._stage.events if event.kind in _RECORDED_EVENTS]
         events = sorted([*own, *_events(samples, touches)], key=lambda event: event.t)
         given = Given(
             scene=scene,

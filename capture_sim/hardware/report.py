@@ -12,7 +12,7 @@ from capture_sim.hardware.loop import Loop
 from capture_sim.hardware.pacing import LoopPacer
 
 #: Number of latest latencies and of latest round trips that are stored.
-_KEPT = 100_000
+_MAX_LATENCIES = 100_000
 
 
 class Timing:
@@ -23,9 +23,9 @@ class Timing:
     """
 
     def __init__(self) -> None:
-        self._sent: deque[tuple[float, float]] = deque(maxlen=_KEPT)  # stamp, s (wall)
-        self.latencies: deque[float] = deque(maxlen=_KEPT)
-        self.round_trips: deque[float] = deque(maxlen=_KEPT)
+        self._sent: deque[tuple[float, float]] = deque(maxlen=_MAX_LATENCIES)  # stamp, s (wall)
+        self.latencies: deque[float] = deque(maxlen=_MAX_LATENCIES)
+        self.round_trips: deque[float] = deque(maxlen=_MAX_LATENCIES)
 
     def sent(self, stamp: float, now: float) -> None:
         """Record that the position with a stamp (s) was sent at the wall time ``now`` (s)."""

@@ -46,7 +46,7 @@ SLIDE_JOINT = "buffer_slide"
 #: Maximum number of names in a list of RunInfo, and maximum number of characters of a name.
 MAX_NAMES, LONGEST_NAME = 100, 200
 #: Maximum number of message templates that are kept.
-MOST_KINDS = 200
+MAX_KINDS = 200
 
 #: Fields of CaptureCriteria, and the fields of a scene's ``detector`` that they report.
 CRITERIA = {
@@ -437,7 +437,7 @@ class Messages:
         template = self._templates.get(key)
         if template is None:
             template = Template(self._store, self.new(type_name, **fixed), columns)
-            if len(self._templates) < MOST_KINDS:
+            if len(self._templates) < MAX_KINDS:
                 self._templates[key] = template
         return template.filled(columns)
 

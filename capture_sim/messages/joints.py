@@ -24,7 +24,7 @@ MAX_INTERVAL = 100_000_000
 #: A stamp that is earlier than the previous stamp by more than this starts a new run, ns.
 _NEW_RUN = 1_000_000_000
 #: Maximum number of messages of one joint that are kept until the other joint's message arrives.
-_KEPT = 50
+_MAX_MESSAGES = 50
 #: Characters that may separate a prefix from a joint's name.
 _SEPARATORS = "/_.-:"
 #: Length of a serialised message's encapsulation header, bytes, and formats of stamp and number.
@@ -147,7 +147,10 @@ class _Joined:
     """Combination of messages of one joint each into measurements, by their stamps."""
 
     def __init__(self) -> None:
-        self._rows: list[deque[tuple[int, _Row]]] = [deque(maxlen=_KEPT), deque(maxlen=_KEPT)]
+        self._rows: list[deque[tuple[int, _Row]]] = [
+            deque(maxlen=_MAX_MESSAGES),
+            deque(maxlen=_MAX_MESSAGES),
+        ]
         self._last = -math.inf  # ns, the stamp of the last measurement
 
     def add(self, joint: int, stamp: int, row: _Row) -> tuple[int, Values] | None:

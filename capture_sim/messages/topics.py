@@ -88,11 +88,11 @@ def _ours(
     return Topic(name, f"capture_sim/msg/{message}", (publisher,), rate, **more)
 
 
-_KEPT: dict[str, Any] = {"depth": 1, "transient_local": True}
+_TRANSIENT_LOCAL: dict[str, Any] = {"depth": 1, "transient_local": True}
 _NUMBERED: dict[str, Any] = {"sequenced": True}
 
 CLOCK = Topic("clock", "rosgraph_msgs/msg/Clock", (SIMULATOR,), Rate.PERIODIC, stamp=Stamp.CLOCK)
-RUN_INFO = _ours("bench/run_info", "RunInfo", SIMULATOR, Rate.ONCE, **_KEPT)
+RUN_INFO = _ours("bench/run_info", "RunInfo", SIMULATOR, Rate.ONCE, **_TRANSIENT_LOCAL)
 BENCH_STATE = _ours("bench/state", "BenchState", SIMULATOR, Rate.STATE, **_NUMBERED)
 # sent only if the scene requests it
 CONTACT_TRACE = _ours("bench/contact_trace", "ContactTrace", SIMULATOR, Rate.EVENT, **_NUMBERED)
@@ -122,14 +122,19 @@ LAUNCH_COMMAND = _ours(
 LAUNCHER_STATE = _ours("launcher/state", "LauncherState", LAUNCHER, **_NUMBERED)
 # messages of launcher/state in which the state changes, for late subscribers
 LAUNCHER_PHASE = _ours(
-    "launcher/phase", "LauncherState", LAUNCHER, Rate.EVENT, **_KEPT, **_NUMBERED
+    "launcher/phase", "LauncherState", LAUNCHER, Rate.EVENT, **_TRANSIENT_LOCAL, **_NUMBERED
 )
 CAPTURE_CRITERIA = _ours(
-    "capture/criteria", "CaptureCriteria", CAPTURE_DETECTOR, Rate.ONCE, **_KEPT
+    "capture/criteria", "CaptureCriteria", CAPTURE_DETECTOR, Rate.ONCE, **_TRANSIENT_LOCAL
 )
 CAPTURE_STATUS = _ours("capture/status", "CaptureStatus", CAPTURE_DETECTOR, **_NUMBERED)
 CAPTURE_VERDICT = _ours(
-    "capture/verdict", "CaptureStatus", CAPTURE_DETECTOR, Rate.EVENT, **_KEPT, **_NUMBERED
+    "capture/verdict",
+    "CaptureStatus",
+    CAPTURE_DETECTOR,
+    Rate.EVENT,
+    **_TRANSIENT_LOCAL,
+    **_NUMBERED,
 )
 STREAM_COUNTS = Topic(
     "bench/stream_counts",
@@ -149,7 +154,7 @@ ROLL = Topic(
     "capture_sim/msg/Roll",
     (),
     Rate.EVENT,
-    **_KEPT,
+    **_TRANSIENT_LOCAL,
     stamp=Stamp.NONE,
 )
 

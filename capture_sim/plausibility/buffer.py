@@ -13,7 +13,7 @@ from capture_sim.plausibility.rules import Grade, Said, rule
 from capture_sim.plausibility.signals import smooth
 
 #: Least depth of the tip in a wall that contradicts the buffer, m: frames of rigid bodies, noise.
-LEAST_DEPTH = 4e-3
+MIN_DEPTH = 4e-3
 #: ... and in standard deviations of a pose, of which nine are averaged.
 _DEVIATIONS = 2.5
 #: Bounds of the spring's impulse over the chaser's change of momentum: k_A may be off by a third.
@@ -49,7 +49,7 @@ def find_contradiction(motion: MeasuredMotion) -> Contradiction | None:
         )
         return Contradiction(kind, text, "stroke")
     stroke, torsion = at
-    limit = max(LEAST_DEPTH, _DEVIATIONS * motion.pose_noise)
+    limit = max(MIN_DEPTH, _DEVIATIONS * motion.pose_noise)
     deepest = _deepest(motion, stroke, torsion)
     if deepest <= limit:
         return None

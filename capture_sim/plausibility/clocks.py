@@ -27,14 +27,14 @@ _BLOCKS = 10
 _LIVE_RATES = (0.8, 1.25)
 #: A bench's stamps may advance at another rate, as tests and paced replays have it: beyond this
 #: rate arrivals say nothing.
-_MOST_RATE = 10.0
+_MAX_RATE = 10.0
 #: Messages before and after a step of a clock that show it, and how long at most they are used, s
 #: (arrival): longer than transports hold messages back.
 _N_STEPPED, _STEP_WINDOW = 7, 5.0
 #: The fastest message on either side is this one, as the first ones may have wild stamps.
 _FASTEST = 3
 #: Share of repeated stamps that is reported, and that leaves no series.
-_FEW, _MOST = 0.02, 0.5
+_REPEATS_REPORTED, _REPEATS_REJECTED = 0.02, 0.5
 #: A clock since boot is below this, s; a wall clock above.
 _BOOT = 3e8
 
@@ -101,7 +101,7 @@ def _offsets_at_a_rate(motion: MeasuredMotion) -> Iterator[tuple[_Clock, float]]
     The latest stamp of one source is compared with that of another in the same moment.  What
     arrives in batches scatters; offsets are reduced by that.
     """
-    timed = [(c, rate) for c, rate in _timed(motion) if 1.0 / _MOST_RATE <= rate <= _MOST_RATE]
+    timed = [(c, rate) for c, rate in _timed(motion) if 1.0 / _MAX_RATE <= rate <= _MAX_RATE]
     if len(timed) < 2:
         return
     common = float(np.median([rate for _, rate in timed]))
@@ -273,7 +273,7 @@ def _rate(channel: Channel) -> tuple[float, float, float]:
 
 
 def _is_unset(motion: MeasuredMotion, channel: Channel) -> bool:
-    return float(_unset(motion, channel).mean()) > _MOST
+    return float(_unset(motion, channel).mean()) > _REPEATS_REJECTED
 
 
 def _unset(motion: MeasuredMotion, channel: Channel) -> np.ndarray:
@@ -328,14 +328,14 @@ def _repeated(channel: Channel) -> float:
     "stamps_stand",
     Grade.REFUSED,
     compares="stamps of successive messages whose values differ",
-    threshold=f"more than {_MOST:.0%} repeat an earlier stamp",
+    threshold=f"more than {_REPEATS_REJECTED:.0%} repeat an earlier stamp",
     reason="the times of the measurements are unknown",
 )
 def stamps_stand(motion: MeasuredMotion) -> Iterator[Said]:
     """A clock that stands."""
     for channel in motion.measured.channels:
         share = motion.once(f"repeated {channel.topic}", partial(_repeated, channel))
-        if share > _MOST and not _is_unset(motion, channel):
+        if share > _REPEATS_REJECTED and not _is_unset(motion, channel):
             yield Said(
                 channel.topic,
                 f"{100 * share:.3g} % of the stamps repeat an earlier one: must be the time of "
@@ -347,14 +347,14 @@ def stamps_stand(motion: MeasuredMotion) -> Iterator[Said]:
     "stamps_repeat",
     Grade.NOTED,
     compares="stamps of successive messages whose values differ",
-    threshold=f"more than {_FEW:.0%} repeat an earlier stamp",
+    threshold=f"more than {_REPEATS_REPORTED:.0%} repeat an earlier stamp",
     reason="single ones occur where two messages are stamped in one tick",
 )
 def stamps_repeat(motion: MeasuredMotion) -> Iterator[Said]:
     """Stamps that repeat: of equal ones the first message counts."""
     for channel in motion.measured.channels:
         share = motion.once(f"repeated {channel.topic}", partial(_repeated, channel))
-        if _FEW < share <= _MOST and not _is_unset(motion, channel):
+        if _REPEATS_REPORTED < share <= _REPEATS_REJECTED and not _is_unset(motion, channel):
             yield Said(
                 channel.topic,
                 f"{100 * share:.3g} % of the stamps repeat an earlier one: of equal stamps the "

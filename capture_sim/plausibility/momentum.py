@@ -19,11 +19,11 @@ BEFORE, AFTER = 0.15, 0.5
 #: Half of the window that a speed is measured over, s, and poses in it at least.
 _HALF, _MIN_POSES = 0.1, 8
 #: Change of the chaser's speed that shows a contact, m/s.
-_LEAST_CHANGE = 0.02
+_MIN_CHANGE = 0.02
 #: Least rate at which an impulse of touches is known, Hz.
 _MIN_RATE = 300.0
 #: Mean stroke over the contact that an encoder must show, m, or in standard deviations.
-_LEAST_STROKE, _DEVIATIONS = 1e-3, 6.0
+_MIN_STROKE, _DEVIATIONS = 1e-3, 6.0
 #: The buffer is at rest until this before the first window, s.
 _MARGIN = 0.1
 
@@ -58,7 +58,7 @@ def change_of_speed(motion: MeasuredMotion, contact: float, axis: np.ndarray) ->
         speeds.append(speed)
         errors.append(error)
     change = speeds[1] - speeds[0]
-    if abs(change) < max(_LEAST_CHANGE, 5.0 * math.hypot(*errors)):
+    if abs(change) < max(_MIN_CHANGE, 5.0 * math.hypot(*errors)):
         return None
     return SpeedChange(*ends, change)
 
@@ -102,7 +102,7 @@ def spring_ratio(motion: MeasuredMotion) -> float | None:
         return None
     momentum = (scene.chaser.mass + scene.cylinder.mass) * change.speed
     expected = abs(momentum) / spring.k_A  # m s
-    least = max(_LEAST_STROKE, _DEVIATIONS * noise(stroke)) * (BEFORE + AFTER)
+    least = max(_MIN_STROKE, _DEVIATIONS * noise(stroke)) * (BEFORE + AFTER)
     if expected < least:
         return None
     impulse = _integral(t, stroke, change, t < change.begin - _MARGIN)

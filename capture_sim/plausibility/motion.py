@@ -25,11 +25,11 @@ MIN_MESSAGES = 8
 #: Poses that are closer than this, s, show every contact.
 _TRACKED = 0.05
 #: Least force, N, and share of the largest, that begin a contact.
-_LEAST_FORCE, _FORCE_SHARE = 2.0, 0.05
+_MIN_FORCE, _FORCE_SHARE = 2.0, 0.05
 #: A limit above this may hide the begin of a contact, N.
 _CLEAR = 3.0
 #: Least deflection of the buffer that begins a contact, m.
-LEAST_DEFLECTION = 3e-4
+MIN_DEFLECTION = 3e-4
 #: A tip this close to a wall may touch it, m: base frames are no better.
 _NEAR = 3e-3
 #: ... and one this far from the walls does not, m.
@@ -231,7 +231,7 @@ class MeasuredMotion:
         t, first = np.unique(force.t[kept], return_index=True)
         values = force.force[kept, :2][first]
         size = np.hypot(*(values - np.median(values, axis=0)).T)
-        least = max(_LEAST_FORCE, _FORCE_SHARE * float(size.max()))
+        least = max(_MIN_FORCE, _FORCE_SHARE * float(size.max()))
         rest = values - baseline(t, values)  # moving vehicles shake: noise at rest is less
         least = max(least, 8.0 * float(np.median(np.hypot(*rest.T))) / 1.1774)
         self._force_limit = least
@@ -260,7 +260,7 @@ class MeasuredMotion:
             t, first = np.unique(buffer.t[kept], return_index=True)
             length = self.scene.rest_length
             values = np.column_stack([buffer.stroke, length * buffer.torsion])[kept][first]
-            begin = onset(t, values, LEAST_DEFLECTION)
+            begin = onset(t, values, MIN_DEFLECTION)
             if begin is not None:
                 seen["buffer"] = begin[0]
         if self.force_onset is not None:

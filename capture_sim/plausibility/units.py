@@ -16,13 +16,13 @@ LENGTHS = {"mm": 1e-3, "cm": 1e-2, "inch": 0.0254, "foot": 0.3048}
 #: Vehicles that never come nearer than this times the distance at contact are no bench's.
 _FAR, _NEAR = 10.0, 0.5
 #: ... without a scene, m.
-_LARGEST_BENCH = 20.0
+_MAX_BENCH_SIZE = 20.0
 #: A stroke or torsion beyond this times what the approach's energy can cause is in another unit.
 _ENERGY_MARGIN = 8.0
 #: Least limits of stroke, m, and torsion, rad, whatever the energy.
-_LEAST_STROKE, _LEAST_TORSION = 0.05, 0.1
+_MIN_STROKE_LIMIT, _MIN_TORSION_LIMIT = 0.05, 0.1
 #: Noise of an encoder beyond this is that of another unit, m and rad.
-_MOST_NOISE = (2e-3, 2e-2)
+_MAX_NOISE = (2e-3, 2e-2)
 #: Strokes beyond a stop by this are doubted, m: stops yield, and encoders have an offset.
 _STOP_MARGIN = 2e-3
 
@@ -43,7 +43,7 @@ def position_units(motion: MeasuredMotion) -> Iterator[Said]:
     nearest = float(np.percentile(motion.distance, 2.0))
     topic = motion.pair_topic
     if motion.scene is None:
-        if nearest > _LARGEST_BENCH:
+        if nearest > _MAX_BENCH_SIZE:
             yield Said(
                 topic,
                 f"distance between the vehicles never below {nearest:.4g} m: must be a few m; "
@@ -100,11 +100,11 @@ def buffer_units(motion: MeasuredMotion) -> Iterator[Said]:
         return
     kept = buffer.is_measured
     scatter = noise(buffer.stroke[kept]), noise(buffer.torsion[kept])
-    if scatter[0] > _MOST_NOISE[0] or scatter[1] > _MOST_NOISE[1]:
+    if scatter[0] > _MAX_NOISE[0] or scatter[1] > _MAX_NOISE[1]:
         yield Said(
             buffer.topic,
             f"noise {scatter[0]:.3g} m of the stroke, {scatter[1]:.3g} rad of the torsion: must be "
-            f"below {_MOST_NOISE[0]:g} m and {_MOST_NOISE[1]:g} rad; they look like mm or deg; "
+            f"below {_MAX_NOISE[0]:g} m and {_MAX_NOISE[1]:g} rad; they look like mm or deg; "
             "have the driver send m and rad",
         )
         return
@@ -113,7 +113,7 @@ def buffer_units(motion: MeasuredMotion) -> Iterator[Said]:
     energy = 0.5 * scene.chaser_total_mass * _speed(motion) ** 2
     k_A, k_T = scene.buffer.stiffness_at_rest, scene.buffer.k_T
     by_energy = math.sqrt(2.0 * energy / k_A) if k_A > 0.0 else scene.rest_length
-    limit = min(scene.rest_length, max(_ENERGY_MARGIN * by_energy, _LEAST_STROKE))
+    limit = min(scene.rest_length, max(_ENERGY_MARGIN * by_energy, _MIN_STROKE_LIMIT))
     if stroke > limit:
         unit = _deflection_unit(stroke, by_energy, {"mm": 1e-3, "inch": 0.0254})
         yield Said(
@@ -122,7 +122,7 @@ def buffer_units(motion: MeasuredMotion) -> Iterator[Said]:
             "the driver send m",
         )
     turned = math.sqrt(2.0 * energy / k_T) if k_T > 0.0 else math.pi
-    limit = max(_ENERGY_MARGIN * turned, _LEAST_TORSION)
+    limit = max(_ENERGY_MARGIN * turned, _MIN_TORSION_LIMIT)
     if torsion > limit:
         unit = _deflection_unit(torsion, turned, {"mrad": 1e-3, "deg": math.pi / 180.0})
         yield Said(

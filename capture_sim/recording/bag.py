@@ -49,7 +49,7 @@ from capture_sim.recording.recorded_bench import (
     trace_in,
 )
 from capture_sim.recording.recorded_topics import Columns, RecordedTopics
-from capture_sim.recording.records import UNPACKED_RATIO
+from capture_sim.recording.records import MAX_UNPACKED_RATIO
 from capture_sim.recording.write import (
     END_METADATA,
     REMAPS,
@@ -67,7 +67,7 @@ _T = TypeVar("_T")
 
 def read_bag(
     path: Path | str,
-    ratio: float = UNPACKED_RATIO,
+    ratio: float = MAX_UNPACKED_RATIO,
     *,
     remaps: Mapping[str, str] | None = None,
     release: float | None = None,

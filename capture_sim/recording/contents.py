@@ -12,7 +12,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from capture_sim.errors import RecordingError
 from capture_sim.recording.bag_folder import bag_files
 from capture_sim.recording.log_times import JUMP, settle
-from capture_sim.recording.records import UNPACKED_RATIO, Damage, RecordContents
+from capture_sim.recording.records import MAX_UNPACKED_RATIO, Damage, RecordContents
 from capture_sim.recording.scan import scan
 
 #: Encoding of ROS 2 messages.
@@ -41,7 +41,7 @@ class Contents:
     has_verified_end: bool = True
 
 
-def read_contents(path: Path, ratio: float = UNPACKED_RATIO) -> Contents:
+def read_contents(path: Path, ratio: float = MAX_UNPACKED_RATIO) -> Contents:
     """Read a file, or a bag's folder of files, each up to its first damage.
 
     ``ratio`` is how many times its size a file may unpack to.  RecordingError if no file can be

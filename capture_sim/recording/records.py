@@ -9,10 +9,10 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 
 from capture_sim.recording.compression import MAGICS, TOO_LARGE, is_compressed, unpacked
 
-#: A file may unpack to so many times its size, and to UNPACKED_LEAST bytes in any case; the
+#: A file may unpack to so many times its size, and to MIN_UNPACKED_LIMIT bytes in any case; the
 #: bench's own recordings unpack to about five times.
-UNPACKED_RATIO = 100.0
-UNPACKED_LEAST = 64 * 1024 * 1024
+MAX_UNPACKED_RATIO = 100.0
+MIN_UNPACKED_LIMIT = 64 * 1024 * 1024
 #: Bytes that a message needs in memory besides its own.
 MESSAGE_COST = 100
 #: Log times from here on (ns) do not fit into ROS's clock.

@@ -32,8 +32,8 @@ from capture_sim.recording.compression import (
 )
 from capture_sim.recording.records import (
     MESSAGE_COST,
+    MIN_UNPACKED_LIMIT,
     TIME_LIMIT,
-    UNPACKED_LEAST,
     Damage,
     RecordContents,
     StoredMessage,
@@ -80,7 +80,7 @@ def scan(path: Path, ratio: float) -> Iterator[RecordContents | Damage]:
             raise RecordingError(f"{path}: not an MCAP file: it is empty")
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
-            limit = int(max(UNPACKED_LEAST, ratio * size))
+            limit = int(max(MIN_UNPACKED_LIMIT, ratio * size))
             if is_compressed(file.read(_LONGEST_MAGIC)):
                 yield from _contents_of_compressed(file, path, limit)
             else:

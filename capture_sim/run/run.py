@@ -19,7 +19,7 @@ import numpy as np
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.dynamics.samples import ENERGIES, Event, EventKind, Extremes
 from capture_sim.errors import RecordingError, SceneError
-from capture_sim.plausibility.motion import LEAST_DEFLECTION
+from capture_sim.plausibility.motion import MIN_DEFLECTION
 from capture_sim.plausibility.rules import Doubt, Grade
 from capture_sim.plausibility.signals import onset
 from capture_sim.run.doubts import CountedSeries, doubts_of, refuse, remaining
@@ -291,7 +291,7 @@ class Run(ABC):
             return None
         length = 0.2 if self.given.scene is None else self.given.scene.rest_length
         moved = np.column_stack([stroke.values, length * torsion.values])
-        found = onset(stroke.t, moved, LEAST_DEFLECTION)
+        found = onset(stroke.t, moved, MIN_DEFLECTION)
         source = next(iter(self.series["stroke"]))
         return None if found is None else FirstContact(found[0], source)
 

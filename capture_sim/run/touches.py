@@ -36,7 +36,7 @@ _BELOW_NOISE = 2.0
 _POINTS = 20
 #: A sensor's zero drifts if two means of it differ by more than this number of the difference's
 #: standard deviations, and by more than this share of the noise.
-_DRIFT_DEVIATIONS, _LEAST_DRIFT = 6.0, 0.5
+_DRIFT_DEVIATIONS, _MIN_DRIFT = 6.0, 0.5
 #: Interval of the samples by the standard deviation of a time that is uniformly distributed in it.
 _UNIFORM = math.sqrt(12.0)
 #: Error of the trapezoidal rule for the impulse of a Hertzian touch with n samples: its standard
@@ -189,7 +189,7 @@ def _drifting_zero(t: np.ndarray, force: np.ndarray) -> np.ndarray | None:
         return None
     moved = force[first - quarter : first].mean(axis=0) - force[:quarter].mean(axis=0)
     # both means have noise; a drift much smaller than the noise has no effect
-    limit = max(_DRIFT_DEVIATIONS * math.sqrt(2.0 / quarter), _LEAST_DRIFT) * quiet.sigma
+    limit = max(_DRIFT_DEVIATIONS * math.sqrt(2.0 / quarter), _MIN_DRIFT) * quiet.sigma
     if float(np.abs(moved).max()) <= max(limit, 1e-9):
         return None
     zero = zero.copy()

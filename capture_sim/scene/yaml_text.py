@@ -65,15 +65,15 @@ def _entry(head: str, value: Any, indent: int) -> list[str]:
     if isinstance(value, str | int):
         return _folded(head, _scalar(value), indent)
     # a part never changes, and the scenes of a study share most of theirs
-    written = value.__dict__.get(_KEPT)
+    written = value.__dict__.get(_LINES_NAME)
     if written is None or written[:2] != (head, indent):
-        written = value.__dict__[_KEPT] = (head, indent, _group(head, value, indent))
+        written = value.__dict__[_LINES_NAME] = (head, indent, _group(head, value, indent))
     kept: list[str] = written[2]
     return kept
 
 
 #: Name in a part of its head, indentation and lines.
-_KEPT = "_yaml_lines"
+_LINES_NAME = "_yaml_lines"
 
 
 def _group(head: str, value: Any, indent: int) -> list[str]:

@@ -265,7 +265,7 @@ def _may_pair(a: Touches, b: Touches, i: int, k: int) -> bool:
 
 
 #: Least number of common samples for a comparison of two series.
-LEAST = 4
+MIN_SAMPLES = 4
 
 
 class Gap(NamedTuple):
@@ -308,8 +308,8 @@ def gaps(
 
     Poses are relative to the pose at the first contact.  Reason: two benches need not have the same
     origin, and the motion before the contact depends on the launch.  The force, and series with
-    fewer than LEAST common samples, are left out.  ``contact_a`` and ``contact_b`` are the times of
-    the first contacts, s; ``window`` is the compared time after the first contact, s.
+    fewer than MIN_SAMPLES common samples, are left out.  ``contact_a`` and ``contact_b`` are the
+    times of the first contacts, s; ``window`` is the compared time after the first contact, s.
     """
     found = []
     for name, parts in PARTS.items():
@@ -317,7 +317,7 @@ def gaps(
             continue
         one, two = a[name], b[name]
         t, _ = overlap(one, two, contact_a, contact_b, window)
-        if t.size < LEAST:
+        if t.size < MIN_SAMPLES:
             continue
         for k, part in enumerate(parts):
             difference, offset = np.zeros(t.size), 0.0

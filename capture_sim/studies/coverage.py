@@ -18,10 +18,10 @@ from capture_sim.studies.refinement import CandidatePoints, Evaluate
 SAME = 0.01
 #: An objective does not depend on the buffer if at least this share of the first feasible buffers,
 #: and at least this number, have its best value, e.g. a peak that is equal for all soft buffers.
-_MANY, _FEWEST = 0.08, 5
+_EQUAL_SHARE, _MIN_EQUAL = 0.08, 5
 #: Number of buffers of a population for each free value; share of the runs in the first population,
 #: and its minimum number of buffers.
-_POPULATION, _FIRST, _FEWEST_FIRST = 15, 0.25, 50
+_POPULATION, _FIRST, _MIN_FIRST = 15, 0.25, 50
 
 
 def cover(
@@ -45,7 +45,7 @@ def cover(
 
     n_values, objectives = len(points.variables), points.objectives
     first = qmc.LatinHypercube(n_values, seed=seed).random(
-        min(max(int(_FIRST * runs), _FEWEST_FIRST), max(runs, 4))
+        min(max(int(_FIRST * runs), _MIN_FIRST), max(runs, 4))
     )
     for k, place in enumerate(list(begin)[: len(first)]):
         first[k] = place
@@ -78,10 +78,10 @@ def undecided(candidates: Sequence[Candidate], objectives: Sequence[Measure]) ->
     the buffer.
     """
     feasible = [each for each in candidates if each.feasible]
-    if len(feasible) < 2 * _FEWEST:
+    if len(feasible) < 2 * _MIN_EQUAL:
         return ""
     by_key = {key: np.array([each.loads[key] for each in feasible]) for key in feasible[0].loads}
-    fewest = max(_FEWEST, _MANY * len(feasible))
+    fewest = max(_MIN_EQUAL, _EQUAL_SHARE * len(feasible))
     for objective in objectives:
         same = _best_of(by_key[objective.key], objective.sign)
         if len(same) < fewest:

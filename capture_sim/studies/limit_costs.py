@@ -31,11 +31,11 @@ ACTIVE = 0.98
 STEPS = (0.01, 0.05)
 #: Sizes of the first simplex and of the simplex of a restart, in shares of the ranges; minimum and
 #: maximum number of candidates of an optimisation; maximum number of points from which it starts.
-_SIZE, _SIZE_OF_RESTART, _FEWEST, _MOST, _KEPT = 0.02, 0.003, 40, 200, 2000
+_SIZE, _SIZE_OF_RESTART, _MIN_CANDIDATES, _MAX_CANDIDATES, _MAX_STARTS = 0.02, 0.003, 40, 200, 2000
 #: Least use of a limit for which a wider limit must improve the objective.
 _BINDING = 0.999
 #: Least error of a change, due to the tolerance of the runs.
-_LEAST_ERROR = 1e-6
+_MIN_ERROR = 1e-6
 
 
 class CostChange(NamedTuple):
@@ -95,7 +95,7 @@ def limit_costs(
         return ()
     objectives = requirements.objectives
     count = len(objectives) * (1 + len(STEPS) * len(active))
-    each = min(max(int(runs / (3.5 * count)), _FEWEST), _MOST)
+    each = min(max(int(runs / (3.5 * count)), _MIN_CANDIDATES), _MAX_CANDIDATES)
     held = row.costs(objectives)
 
     def optimum(n: int, with_limits: Requirements, warm: Sequence[Candidate]) -> _Optimum:
@@ -115,7 +115,7 @@ def limit_costs(
             for n, objective in enumerate(objectives):
                 new = optimum(n, wider, warm[n])
                 warm[n] += [new.best] if new.best is not None else []
-                error = max(new.error, base[n].error, _LEAST_ERROR)
+                error = max(new.error, base[n].error, _MIN_ERROR)
                 difference = new.value - base[n].value
                 if difference == 0.0 and limit.use(_load(base[n], limit)) > _BINDING:
                     difference = math.nan  # no gain from an active limit: the search is stuck
@@ -146,7 +146,7 @@ def _optimum(
     ``begin`` are values of buffers to start from, the most important ones first.
     """
     start = CandidatePoints(variables, requirements.objectives)
-    start.add(evaluate(begin[:_KEPT]))
+    start.add(evaluate(begin[:_MAX_STARTS]))
     found = []
     gain = 0.0
     for rng in (None, np.random.default_rng([seed, 5])):

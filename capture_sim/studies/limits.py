@@ -29,7 +29,7 @@ CAPTURE_RANGE = "capture_range"
 _RANGE = Load(CAPTURE_RANGE, "capture range", "1", "%", 100.0, ())
 #: Least value of a load in a cost, in the unit of tables.  The logarithm of a smaller value would
 #: dominate a search.
-_LEAST_SHOWN = 1e-3
+_MIN_SHOWN = 1e-3
 #: Relative excess up to which a limit counts as kept: the error of a run at a study's tolerance.
 ROUND_OFF = 1e-6
 #: Maximum number of objectives of a design, because a front of more cannot be plotted.
@@ -76,7 +76,7 @@ class Measure:
         """
         if self.sign < 0.0:
             return -value
-        return math.log(max(value * self.load.factor, _LEAST_SHOWN))
+        return math.log(max(value * self.load.factor, _MIN_SHOWN))
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from capture_sim.studies.sweep import RTOL
 from capture_sim.studies.variables import FreeVariable, fields_of, own_value, with_values
 
 #: Maximum and minimum number of rows of a front, and the number of candidates that a row needs.
-_ROWS, _FEWEST_ROWS, _RUNS_OF_ROW = 7, 3, 800
+_MAX_ROWS, _MIN_ROWS, _RUNS_OF_ROW = 7, 3, 800
 #: Maximum number of candidates of the coverage, and its maximum share of the budget.  The coverage
 #: with the second seed has half as many candidates.
 _COVERAGE, _COVERAGE_SHARE = 800, 0.25
@@ -185,7 +185,7 @@ class DesignSearch:
         If the best candidate is infeasible at this tolerance, the next best ones are run.
         """
         if interrupted:
-            self._goals = self._make_goals(_FEWEST_ROWS if len(self._objectives) > 1 else 1)
+            self._goals = self._make_goals(_MIN_ROWS if len(self._objectives) > 1 else 1)
             self._words = ["interrupted"] * len(self._goals)
         rows: dict[int, DesignRow] = {}
         for number in range(_CONFIRMED):
@@ -229,7 +229,7 @@ class DesignSearch:
                 return reason
         count = 1
         if len(self._objectives) > 1:
-            count = min(max(self._left // _RUNS_OF_ROW, _FEWEST_ROWS), _ROWS)
+            count = min(max(self._left // _RUNS_OF_ROW, _MIN_ROWS), _MAX_ROWS)
         of_second = 0 if brief else runs // 2
         n_ends = 0 if self._window is not None else 2
         per_pass = int((self._left - of_second) / (count * 4.2 + n_ends))

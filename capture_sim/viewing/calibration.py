@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 #: Residuals are drawn up to so many standard deviations.
 _SHOWN = 6.0
 #: Points that are drawn of a series.
-_MOST_POINTS = 3000
+_MAX_POINTS = 3000
 
 
 def draw_calibration(found: Calibration) -> dict[str, Figure]:
@@ -48,7 +48,7 @@ def _draw_trial(found: Calibration, number: int) -> Figure:
     figure, axes = subplots(12.0, 1.7 * count + 0.6, count, 2, font=11.0, sharex=True)
     row = 0
     for channel, simulated in zip(trial.channels, seen, strict=True):
-        step = max(1, channel.t.size // _MOST_POINTS)
+        step = max(1, channel.t.size // _MAX_POINTS)
         for k, part in enumerate(PARTS[channel.name]):
             values, residuals = axes[row]
             measured = channel.values[:, k]

@@ -17,7 +17,7 @@ from capture_sim.viewing.shapes import wall
 
 _MM = 1e3  # in a metre: drawings are in mm
 _PLAYED = 5.0  # s (wall), that a short timeline takes at least
-_MOST_LABELS = 6  # of an axis
+_MAX_LABELS = 6  # of an axis
 _CONTACT = ("contact_force", "distance", "axial_stroke", "torsion")  # diagrams of the first tab
 _LABEL_SHARE = 0.08  # of a diagram's width, between labels of its time: 70 of 830 pixels
 _MARGIN = 0.05  # of a range, beyond a tick that widens it
@@ -127,7 +127,7 @@ def ticked(low: float, high: float) -> Window:
     """
     if not high > low:
         return low, high
-    step = 10.0 ** math.ceil(math.log10((high - low) / _MOST_LABELS))
+    step = 10.0 ** math.ceil(math.log10((high - low) / _MAX_LABELS))
     before, after = math.ceil(low / step) - 1, math.floor(high / step) + 1
     margin = _MARGIN * (high - low)
     if min(-low, high) > 0.5 * step:

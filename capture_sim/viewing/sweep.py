@@ -52,9 +52,9 @@ _OUTCOMES = {
 _UNCOMPUTED = style.LIGHT
 #: Most panels of a map.
 _MAX_PANELS = 9
-_FEWEST_RANKED = 3
-_MOST_LEVELS = 5  # of the contours
-_SHORTEST_CONTOUR = 2.5  # cells
+_MIN_RANKED = 3
+_MAX_LEVELS = 5  # of the contours
+_MIN_CONTOUR = 2.5  # cells
 
 
 class _Shown(NamedTuple):
@@ -110,7 +110,7 @@ def draw_sweep(
         figures["loads"] = draw_loads(table, title, limits)
         if indices:
             figures["indices"] = draw_indices(indices, sorted(axis.name for axis in drawn), title)
-        elif len(plain_rows(computed_rows(table))) >= _FEWEST_RANKED:
+        elif len(plain_rows(computed_rows(table))) >= _MIN_RANKED:
             inputs = [axis.name for axis in numbers if table[axis.name].nunique() > 1]
             correlations = rank_correlations(table, inputs).dropna(axis=1, how="all")
             if not correlations.empty:
@@ -256,7 +256,7 @@ def _levels(force: np.ndarray) -> np.ndarray:
     known = force[np.isfinite(force) & (force > 0.0)]
     if not known.size:
         return np.empty(0)
-    return np.asarray(MaxNLocator(_MOST_LEVELS + 1).tick_values(known.min(), known.max()))
+    return np.asarray(MaxNLocator(_MAX_LEVELS + 1).tick_values(known.min(), known.max()))
 
 
 def _draw_verdicts(
@@ -275,7 +275,7 @@ def _draw_verdicts(
     force = force.where(force > 0.0)  # none around the runs without a touch
     if min(force.shape) > 1 and force.notna().to_numpy().any():
         lines = panel.contour(*places, force.to_numpy(), levels, colors=style.BLACK, linewidths=0.8)
-        _drop_short_contours(lines, [_SHORTEST_CONTOUR * np.diff(at).min() for at in places])
+        _drop_short_contours(lines, [_MIN_CONTOUR * np.diff(at).min() for at in places])
         # read on dark colours too
         halo: list[AbstractPathEffect] = [withStroke(linewidth=2.0, foreground="white")]
         lines.set_path_effects(halo)

@@ -34,7 +34,7 @@ from capture_sim.messages.topics import (
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
-from capture_sim.recording.scan import UNPACKED_LEAST
+from capture_sim.recording.scan import MIN_UNPACKED_LIMIT
 
 CASES = cases(few=30, all=100)
 COMMANDS = ("detect", "export", "compare", "identify")
@@ -169,7 +169,7 @@ def test_a_small_file_cannot_fill_the_memory(compression, told, tmp_path):
     assert run.topics == {}
     assert len(run.damage) == 1
     assert "unpacks to" in run.damage[0]
-    assert most < max(UNPACKED_LEAST, 100 * file.stat().st_size) + 50e6
+    assert most < max(MIN_UNPACKED_LIMIT, 100 * file.stat().st_size) + 50e6
     assert not (tmp_path / "out.mcap").exists()
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numba
 
 #: Tested versions of Numba; others first compile a small kernel as a test.
-_TRIED = ("0.60", "0.61", "0.62", "0.63", "0.64", "0.65", "0.66", "0.67", "0.68")
+_TESTED_VERSIONS = ("0.60", "0.61", "0.62", "0.63", "0.64", "0.65", "0.66", "0.67", "0.68")
 _FAST = {"contract", "nsz"}  # fused multiply and add; the sign of zero does not matter
 
 
@@ -23,12 +23,13 @@ def _load_internals() -> Any:
     try:
         from capture_sim.base.compiled import numba_internals
 
-        if numba.__version__.rsplit(".", 1)[0] in _TRIED or numba_internals.compiles():
+        if numba.__version__.rsplit(".", 1)[0] in _TESTED_VERSIONS or numba_internals.compiles():
             return numba_internals
     except Exception:  # a change of Numba's internals may raise any error
         pass
     print(
-        f"capture-sim: Numba {numba.__version__} differs inside from {_TRIED[0]} to {_TRIED[-1]}: "
+        f"capture-sim: Numba {numba.__version__} differs inside from {_TESTED_VERSIONS[0]} to "
+        f"{_TESTED_VERSIONS[-1]}: "
         "compiling takes about a minute, each start a second longer",
         file=sys.stderr,
     )

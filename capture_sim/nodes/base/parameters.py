@@ -136,14 +136,20 @@ class ParameterNode(Node):
         return replace(defaults, **values)
 
     def declare_path(
-        self, name: str, default: str, description: str, kind: str, why_not: Callable[[Path], str]
+        self,
+        name: str,
+        default: str,
+        description: str,
+        kind: str,
+        reason_against: Callable[[Path], str],
     ) -> Path | None:
         """Declare a path; return None if it is empty.
 
-        ``why_not`` returns why a path is not of this ``kind``; ParameterError if there is a reason.
+        ``reason_against`` returns why a path is not of this ``kind``, or an empty text if it is.
+        Raises ParameterError with that reason.
         """
         text = self.declare(name, default, description)
-        if text and (reason := why_not(Path(text))):
+        if text and (reason := reason_against(Path(text))):
             raise ParameterError(f"parameter {name} = '{text}': must be {kind}: {reason}")
         return Path(text) if text else None
 

@@ -13,7 +13,7 @@ import numpy as np
 #: Delays beyond this are skipped instead of recovered, s (wall).
 MAX_RECOVERED_DELAY = 1.0
 #: Ticks whose lateness is kept at most.
-_KEPT = 1_000_000
+_MAX_TICKS = 1_000_000
 
 
 class Lateness(NamedTuple):
@@ -87,8 +87,8 @@ class RunPacer:
         if self._factor == 0.0:
             return
         self.ticks += 1
-        if len(self._late) == _KEPT:
-            del self._late[: _KEPT // 2]
+        if len(self._late) == _MAX_TICKS:
+            del self._late[: _MAX_TICKS // 2]
         self._late.append(late)
         if late > MAX_RECOVERED_DELAY and self._origin is not None:
             self.skipped_delay += late

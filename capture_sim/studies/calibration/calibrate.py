@@ -75,7 +75,7 @@ TOUCHES, TOUCH_NOISE = 4, (2e-4, 2.0)
 _LINEAR_FITS = 50
 #: Largest number of lacking parameters, which are added one at a time, and largest number of
 #: candidates that are tried for each.
-_MOST_ADDED, _TRIED = 3, 2
+_MAX_ADDED, _MAX_TRIED = 3, 2
 #: A further candidate is tried only if its gain exceeds this share of the best gain.
 _ALIKE = 0.3
 #: Largest number of search steps after a candidate is added.
@@ -557,9 +557,9 @@ def _block_finding(blocks: Sequence[BlockMean], problem: Problem) -> Finding | N
 def _what_lacks(problem: Problem, at: Linear, candidates: Sequence[Score]) -> list[Lacking]:
     """Add the parameters that the model lacks, one at a time, and return them."""
     found: list[Lacking] = []
-    for _ in range(_MOST_ADDED):
+    for _ in range(_MAX_ADDED):
         likely = [score for score in candidates if score.gain > NAMED]
-        likely = [s for s in likely if s.gain > _ALIKE * likely[0].gain][:_TRIED]
+        likely = [s for s in likely if s.gain > _ALIKE * likely[0].gain][:_MAX_TRIED]
         if not likely:
             break
         best: tuple[Lacking, Problem, Linear] | None = None

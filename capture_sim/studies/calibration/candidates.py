@@ -31,7 +31,7 @@ NAMED = 20.0
 #: at most twice.
 _TOO_SMALL, _TOO_LARGE = 0.2, 5.0
 #: Largest logarithm of a decrease of the distance to the end of a range.
-_MOST_DECREASE = 5.0
+_MAX_DECREASE = 5.0
 #: Position of a tried stop, as a share of the longest measured stroke, and its stiffness, N/m.
 _STOP_SHARE, _STOP_STIFFNESS = 0.95, 2e4
 
@@ -192,7 +192,7 @@ def possible(value: float, estimate: float, low: float, high: float) -> float:
     for end in (low, high):
         left = end - value
         if left != 0.0 and math.isfinite(left) and (share := (estimate - value) / left) >= 1.0:
-            return end - left * math.exp(-min(share, _MOST_DECREASE))
+            return end - left * math.exp(-min(share, _MAX_DECREASE))
     return min(max(estimate, low), high)
 
 

@@ -32,15 +32,15 @@ _ENOUGH, _ENOUGH_EARLY = 0.1, 1.0
 _STEPS, _STEPS_EARLY = 12, 5
 #: An early fit explains the values added to a shorter fit if chi2 grows by less than their number
 #: times the first factor, plus the second number of standard deviations of noise.  Otherwise it is
-#: repeated from ``_DRAWN`` random starts.  If that fails too, the step of the horizon is halved if
-#: it is longer than ``_FINEST`` (s), at most ``_MOST_HALVED`` times.
+#: repeated from ``_DRAWS`` random starts.  If that fails too, the step of the horizon is halved if
+#: it is longer than ``_MIN_HORIZON_STEP`` (s), at most ``_MAX_HALVINGS`` times.
 _EXCESS, _EXCESS_NOISE = 1.15, 4.0
-_DRAWN, _FINEST, _MOST_HALVED = 2, 0.03, 5
+_DRAWS, _MIN_HORIZON_STEP, _MAX_HALVINGS = 2, 0.03, 5
 #: Damping of the first step, relative to the diagonal of the Hessian; its factor after a step that
 #: lowers chi2 and after one that does not; damping at which the search gives up.
 _DAMPING, _EASIER, _HARDER, _STIFFEST = 1e-3, 0.1, 8.0, 1e4
 #: Longest step of a shared parameter, in coordinates.
-_LONGEST_STEP = 0.7
+_MAX_STEP = 0.7
 #: Standard deviation of the restarts about the best place, in standard errors.
 _AWAY = 1.5
 #: A restart is moved nearer to the best place, to these shares of its distance in turn, if a trial
@@ -48,7 +48,7 @@ _AWAY = 1.5
 #: moves quite differently if chi2 is higher by more than ``_USABLE`` per parameter.
 _NEARER, _USABLE = (1.0, 0.5, 0.25, 0.125), 1000.0
 #: Number of successive restarts that must find no better place, and largest number of restarts.
-RESTARTS, _MOST_RESTARTS = 4, 10
+RESTARTS, _MAX_RESTARTS = 4, 10
 #: Decrease of chi2 from which the end of a restart counts as a better place.  Kinks of chi2 leave a
 #: roughness of about one unit.
 _BETTER = 0.5
@@ -114,7 +114,7 @@ def descend(
             move[free] = -np.linalg.solve(damped[np.ix_(free, free)], at.gradient[free])
             # along a direction without information the step could be of any size
             longest = float(np.abs(move[: problem.shared]).max(initial=0.0))
-            move *= min(1.0, _LONGEST_STEP / max(longest, 1e-300))
+            move *= min(1.0, _MAX_STEP / max(longest, 1e-300))
             there = np.clip(at.place + move, low, high)
             known = problem.chi2(there, prior)
             if known[0] < at.chi2:
@@ -246,7 +246,7 @@ def grow(
     contacts = [trial.contact for trial in problem.trials]
     if not any(map(math.isfinite, contacts)):
         return stage.place, None
-    waiting, reached, spare = list(HORIZON), -math.inf, _MOST_HALVED
+    waiting, reached, spare = list(HORIZON), -math.inf, _MAX_HALVINGS
     while waiting:
         after = waiting[0]
         ends = [contact + after for contact in contacts]
@@ -257,7 +257,7 @@ def grow(
         ended = _stage_fit(part, stage, prior, spare, rng, keep)
         if ended is None:
             break
-        is_far = math.isfinite(reached) and after - reached > _FINEST and after > 0.0
+        is_far = math.isfinite(reached) and after - reached > _MIN_HORIZON_STEP and after > 0.0
         if spare > 0 and is_far and not ended.explains_more_than(stage):
             spare -= 1
             waiting.insert(0, 0.5 * (after + reached))
@@ -305,7 +305,7 @@ def _stage_fit(
         low, high = part.limits
         starts += [
             np.clip(stage.place + root @ rng.standard_normal(values.size), low, high)
-            for _ in range(_DRAWN)
+            for _ in range(_DRAWS)
         ]
     for place in starts:
         search = descend(
@@ -347,7 +347,7 @@ def restart(
     best = found
     ends: list[EndedSearch] = []
     since_best, tried = 0, 0
-    while since_best < count and tried < (_MOST_RESTARTS if count else 0):
+    while since_best < count and tried < (_MAX_RESTARTS if count else 0):
         tried += 1
         report(f"restart {tried}")
         at = best.linear

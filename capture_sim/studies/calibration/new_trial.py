@@ -26,7 +26,7 @@ from capture_sim.studies.calibration.prediction import Placement
 from capture_sim.studies.calibration.trial import trial_of
 
 #: Smallest p-value of a test at which a trial agrees with the calibration.
-LEAST_P = 1e-3
+MIN_P = 1e-3
 
 
 class Comparison(NamedTuple):
@@ -40,7 +40,7 @@ class Comparison(NamedTuple):
     @property
     def agrees(self) -> bool:
         """True if the p-value is at least 0.001, so that chance can explain the difference."""
-        return self.p >= LEAST_P
+        return self.p >= MIN_P
 
 
 class TrialAgreement(NamedTuple):
