@@ -161,9 +161,11 @@ class Gate:
         return max(x, y), theta
 
     def add(self, t: float, values: Values, speed: float) -> list[Pose]:
-        """Add a pose at time ``t``, s; return the poses that can be passed on now, in order.
+        """Add a pose at time ``t``, s; return the poses that are accepted with it, in order.
 
-        ``speed`` is the largest relative speed of the vehicles that an impact may have now, m/s.
+        They are the new pose, or poses that were held back until this one confirmed them; the list
+        is empty while poses contradict each other.  ``speed`` is the vehicles' largest relative
+        speed, m/s, which limits the change of velocity by an impact.
         """
         pose = Pose(t, values)
         self._speed = MARGIN * speed

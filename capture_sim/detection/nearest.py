@@ -58,7 +58,7 @@ class ClosestApproach:
         self._variances = [math.nan, math.nan]
 
     def add_exact(self, distance: float) -> None:
-        """Add a position that is known without noise, by its distance from the origin, m."""
+        """Add a noise-free position of the tip by its distance from the centre of BE, m."""
         self._exact = min(self._exact, distance)
 
     def add(self, halves: tuple[Half, Half]) -> None:

@@ -90,9 +90,10 @@ class Guard:
     # to the rig
 
     def send(self, pose: TipState) -> TipState:
-        """Check the speed and acceleration of a position against the limits, and return it.
+        """Return a position unchanged if its speed and acceleration are within the limits.
 
-        The two previous positions give speed and acceleration.  The first position is at rest.
+        Otherwise raise SafeStopError.  Speed and acceleration follow from the two positions that
+        were sent before; the first position is assumed to be at rest.
         """
         limits, step = self._limits, self._stage.step
         if not self._sent:

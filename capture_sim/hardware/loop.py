@@ -235,10 +235,12 @@ class Loop:
         return Wrench(share * fx, share * fy, tz=share * (measured.tz - expected.tz))
 
     def _update_residual_share(self) -> None:
-        """Set the share of the residual in the next contact, and the largest force of the residual.
+        """Set the factor and the largest force of the correction in the next contact.
 
-        Both follow from the elastic touch of the vehicles' effective mass.  If the buffer is softer
-        than the wall, the mass of the probe is used instead.
+        The correction is the residual, i.e. the rig's measured wrench minus that of the law.  Its
+        factor is 0 to 1; it is smaller the longer the lag is compared with the duration of a touch.
+        Duration and peak force are those of an elastic touch of the vehicles' effective mass, or of
+        the probe's mass if the buffer is softer than the wall.
         """
         scene, law, tip = self.stage.scene, self.law, self.stage.tip
         wall = self._walls.deepest(tip)

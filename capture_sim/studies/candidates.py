@@ -1,4 +1,6 @@
-"""Evaluation of buffers for a design: by the scene's own run, by draws, and over an area.
+"""Evaluation of buffers for a design: by one run, by runs with drawn values, by capture range.
+
+The capture range is the share of an area of approaches (angle and offset) that ends in a capture.
 
 A buffer is feasible if its run keeps all limits and ends in a capture that the tip has not left
 again.  Infeasible buffers are compared by their violation.  If a load exceeds its limit, the
@@ -10,7 +12,8 @@ With dispersions, all candidates are run with the same draws.  The loads of a ca
 quantiles: the values that the required number of draws does not exceed.  The search selects the
 candidate that suits these particular draws best.  Therefore it requires one standard deviation more
 successful draws than the requested share.  Without dispersions, the capture range is computed with
-the scene's own values; with dispersions, each line of the area has one of the draws.
+the scene's own values.  With dispersions, the runs along each grid line of the area use the values
+of one draw.
 """
 
 from __future__ import annotations

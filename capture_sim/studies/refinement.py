@@ -90,7 +90,10 @@ class CandidatePoints:
 
     @property
     def violations(self) -> np.ndarray:
-        """Violations of the candidates, (n,)."""
+        """By how much each candidate violates the limits, (n,); 0 if it is feasible.
+
+        See :mod:`capture_sim.studies.candidates` for the scale.
+        """
         return np.array(self._violations)
 
     def goal_values(self, goal: Goal) -> np.ndarray:

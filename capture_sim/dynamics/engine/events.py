@@ -414,7 +414,10 @@ def hold_lost_by(w):
 
 @inline_kernel
 def release_of(mode):
-    """Return kind and ``which`` of the event at which a held probe begins to slide."""
+    """Return the event by which a probe that is held in its slide begins to move: kind, ``which``.
+
+    The probe is held on its seat by the preload (UNSEATED, no wall), or by friction (SLIP, SLIDE).
+    """
     if mode.held == Hold.SEAT:
         return EventKind.UNSEATED, NO_WALL
     return EventKind.SLIP, SLIDE

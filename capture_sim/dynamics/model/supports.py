@@ -219,9 +219,11 @@ def share_by_turn(w0, w1, w2, balls, i, arm):
 
 @kernel
 def share_by_search(w0, w1, w2, balls, arm, enough):
-    """Return the largest share of the limit over all motions, by an iteration from below.
+    """Return the share of the supports' limit that a wrench uses, see :func:`load_factor`.
 
-    The iteration ends early once the share exceeds ``enough``.
+    It is the largest ratio of power to dissipation over all planar motions of the vehicle, found by
+    an iteration from below, which ends early above ``enough``.  ``w0``, ``w1`` are the force in the
+    vehicle's frame (N); ``w2`` is the torque divided by ``arm`` (m), the unit of length.
     """
     norm = math.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
     w0, w1, w2 = w0 / norm, w1 / norm, w2 / norm

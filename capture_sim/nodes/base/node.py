@@ -258,7 +258,10 @@ class BenchNode(ParameterNode):
         self.topic_publishers.open(topics)
 
     def send(self, topic: Topic, data: Any) -> bool:
-        """Publish a message; see :meth:`Publishers.send`."""
+        """Publish a message; return True if it was sent, False if the node was asked to end.
+
+        It waits while a reader's queue is full, see :meth:`Publishers.send`.
+        """
         return self.topic_publishers.send(topic, data)
 
     def publish(self, *messages: Sent) -> None:

@@ -291,7 +291,10 @@ def calibrate(
 
 
 def _touches_of(run: Run) -> Touches | None:
-    """Return the first touches of a run; None if no force resolves them."""
+    """Return the first touches of a run for the fit, with their standard deviations.
+
+    None if no measurement of the run resolves its touches, see :attr:`Run.resolved_touches`.
+    """
     touches, _ = run.resolved_touches
     if touches is None:
         return None

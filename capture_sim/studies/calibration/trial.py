@@ -132,8 +132,8 @@ def trial_of(
     noise
         Standard deviations by series, one for each of its parts; missing ones are estimated.
     until
-        End of the measurements that are used, s.  An earlier hold after the release, or the end of
-        the scene's run, ends them earlier.
+        End of the measurements that are used, s.  They end earlier if the launcher commands the
+        driver to hold the chaser again (topic launcher/hold), or if the scene's run is shorter.
     is_release_fitted
         False if the release is known exactly.
 
