@@ -5,16 +5,16 @@
 >>> run.verdict
 'captured'
 
-- ``simulate(scene, overrides)`` returns a ``Run``; ``read_run(path)`` returns one of a recording.
-- ``load_scene(name, overrides)`` returns a ``Scene``; ``scene_names()`` lists the packaged ones.
+- ``simulate(scene, overrides)`` returns a ``Run``; ``read_run(path)`` reads a ``Run`` from a file.
+- ``load_scene(name, overrides)`` returns a ``Scene``; ``scene_names()`` lists the packaged scenes.
 - ``plot(run, ...)`` draws runs; ``sweep(scene, vary)`` returns a pandas table of many runs.
-- ``calibrate(trials)`` fits the parameters of a bench to its measured runs, and predicts.
+- ``calibrate(trials)`` fits the parameters of a bench to its measured runs, and predicts a run.
 - ``Bench`` and ``drive`` advance a run step by step.
 - ``Phase``, ``EventKind`` and ``CaptureState`` name the constants of samples, events and statuses.
-- ``SceneError``, ``SimulationError``, its ``RunError``, ``RecordingError`` and
-  ``MissingPackageError`` are ``CaptureSimError``.
+- ``CaptureSimError`` is the base class of ``SceneError``, ``SimulationError``, ``RunError``,
+  ``RecordingError`` and ``MissingPackageError``.  ``RunError`` is also a ``SimulationError``.
 
-``help(capture_sim.simulate)`` and the like have the details.
+``help(capture_sim.simulate)`` prints the details of a function; the same works for each name above.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from capture_sim.base.version import __version__
 from capture_sim.commands import COMMANDS, GROUPS
 from capture_sim.errors import explain_import_error, one_line
 
-#: Errors that a wrong file, value or device raises, unless they were turned into a line before.
+#: Errors of Python that a wrong file, value or device may cause; reported as bad input.
 _FROM_OUTSIDE = (OSError, ValueError, ArithmeticError, RecursionError, MemoryError)
 #: New objects after which Python looks for garbage.  With its default, 700, it spends 8 % of a
 #: short command on the modules that were just loaded.
@@ -52,9 +52,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def command_parser(name: str) -> argparse.ArgumentParser:
-    """Load a command's module and return its parser, whose default ``run`` runs the command.
+    """Load the module of a command and return the parser of its arguments.
 
-    Ctrl-C also works while a compiled module is imported.
+    The parsed options have the function of the command as ``run``.  The module is imported in a
+    thread, so that Ctrl-C also works while a compiled module is imported.
     """
     from capture_sim.base.interrupts import in_worker  # not for --help
 
@@ -71,7 +72,10 @@ def command_parser(name: str) -> argparse.ArgumentParser:
 
 
 def _failure(reason: str) -> str:
-    """Return the lines of a command's help on its exit status 1; empty without a reason."""
+    """Return the text for a command's help that explains its exit status 1.
+
+    ``reason`` is the ``FAILS`` of the command; without a reason, '' is returned.
+    """
     width = shutil.get_terminal_size().columns - 2
     return "\n\n" + textwrap.fill(f"exit status 1: {reason}", width) if reason else ""
 
@@ -79,7 +83,8 @@ def _failure(reason: str) -> str:
 def _open_closed_streams() -> None:
     """Send the standard streams that the caller has closed (``>&-``) to the null device.
 
-    Otherwise the next file to be opened gets the stream's number and receives its messages.
+    Otherwise the next file to be opened would get the file descriptor of the stream, and messages
+    would be written into that file.
     """
     for number in range(3):
         try:
@@ -125,7 +130,10 @@ def _run(arguments: Sequence[str]) -> int:
 
 
 def _hint(word: str, known: Iterable[str]) -> str:
-    """Return a question that names the nearest known word, or nothing."""
+    """Return the end of an error message that suggests the most similar known word.
+
+    If no known word is similar, '' is returned.
+    """
     nearest = get_close_matches(word, known, 1)
     return f"; did you mean {nearest[0]}?" if nearest else ""
 
@@ -142,7 +150,10 @@ def _overview() -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reports an error in one line, and raises if the output device is full."""
+    """Argument parser that reports an error in one line.
+
+    If a message cannot be written, e.g. to a full device, it raises OSError; argparse ignores this.
+    """
 
     def _print_message(self, message: str, file: Any = None) -> None:
         (file or sys.stderr).write(message)
@@ -156,7 +167,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _failed(error: Exception) -> int:
-    """Print an error in one line and return the exit status."""
+    """Print an error in one line and return the exit status of the command for this error."""
     from capture_sim.errors import CaptureSimError, MissingPackageError, SimulationError
 
     status, text = BAD_INPUT, str(error)
@@ -191,7 +202,10 @@ def _interrupted(state: str = "") -> int:
 
 
 def _flushed(status: int) -> int:
-    """Flush standard output; return the status, or BAD_INPUT if the flush fails."""
+    """Flush standard output and return the exit status of the command.
+
+    A status OK becomes BAD_INPUT if the flush fails, unless the reader of a pipe has closed it.
+    """
     try:
         sys.stdout.flush()
     except BrokenPipeError:
@@ -205,7 +219,7 @@ def _flushed(status: int) -> int:
 
 
 def _give_up_stdout() -> None:
-    """Discard buffered output, so that Python does not fail on it at exit."""
+    """Redirect standard output to the null device, so that Python's flush at exit cannot fail."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         null = os.open(os.devnull, os.O_WRONLY)

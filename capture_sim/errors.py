@@ -20,7 +20,7 @@ class SceneError(CaptureSimError):
 
 
 class SimulationError(CaptureSimError):
-    """The integration stopped early; the samples up to then are available.
+    """The integration stopped early; the samples up to the stop are in ``partial``.
 
     The message names the simulated time, the phase and the cause.
 
@@ -35,12 +35,15 @@ class SimulationError(CaptureSimError):
         self.partial = partial
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Reach another process whole: a worker's error must not break its pool."""
+        """Return the arguments for unpickling the error, including ``partial``.
+
+        Without them, an error of a worker process could not be unpickled and would break its pool.
+        """
         return type(self), (*self.args, self.partial)
 
 
 class RecordingError(CaptureSimError):
-    """A recording cannot be written or read."""
+    """A recording or another file cannot be written or read, or a recorded run cannot be used."""
 
 
 class MessageError(RecordingError):
@@ -61,7 +64,11 @@ _ROS_PACKAGES = ("ament_index_python", "rcl_interfaces", "rclpy", "rosidl_runtim
 
 
 def explain_import_error(error: ImportError) -> str:
-    """Return one line that names the missing package and how to install it, or what failed."""
+    """Return one line that explains an import error.
+
+    For a missing package of ROS 2 or of an extra, the line says how to install the package.  For a
+    package that is installed but whose import fails, it gives the reason.
+    """
     package = (error.name or "").partition(".")[0]
     if not isinstance(error, ModuleNotFoundError):
         return f"{package or 'a package'}: its import fails: {one_line(str(error))}"
@@ -82,10 +89,12 @@ def explain_import_error(error: ImportError) -> str:
 
 
 def import_failure(needs: str, error: ImportError, extra: str) -> str:
-    """Return one line on a package of an extra that cannot be imported.
+    """Return one line that explains why a package of an extra cannot be imported.
 
-    ``needs`` says what needs it, e.g. ``"Parquet needs pyarrow"``.  A missing package is to be
-    installed; one that fails, often for a version of another package, is not missing.
+    ``needs`` says what requires the package, e.g. ``"Parquet needs pyarrow"``.  For a missing
+    package, the line says how to install it.  An installed package whose import fails often does
+    not match the version of another package; the line then gives the error and where to find
+    matching versions.
     """
     if isinstance(error, ModuleNotFoundError):
         return f"{needs}: {install_hint(extra)}"
@@ -96,7 +105,10 @@ def import_failure(needs: str, error: ImportError, extra: str) -> str:
 
 
 def install_hint(extra: str) -> str:
-    """Return how to install an extra of this package, which is on no index."""
+    """Return the pip command that installs an extra of capture_sim from a clone.
+
+    A clone is required because capture_sim is not on a package index.
+    """
     return f"pip install '.[{extra}]' in a clone of capture_sim"
 
 

@@ -1,13 +1,14 @@
 """The commands of ``capture-sim``, one module each.
 
-A command's module has ``DESCRIPTION``, ``EXAMPLE``, ``add_arguments(parser)`` and
-``run(options)``, which returns the exit status; ``FAILS`` says when that is 1, besides the reasons
-of all commands (``OF_COMMANDS``).  It is imported only when the command is called,
-so it may import all it needs at its top.
+The module of a command has ``DESCRIPTION``, ``EXAMPLE``, ``add_arguments(parser)`` and
+``run(options)``, which returns the exit status.  An optional text ``FAILS`` says when this command
+returns 1, in addition to the reasons that apply to all commands
+(``base/exit_status.py``, ``OF_COMMANDS``).  The module is imported only when the command is called,
+so it may import everything that it needs at its top.
 
 Takes: Arguments of the command line.
 Gives: Lines, tables and files, and an exit status (``base/exit_status.py``).
-Must not know: ROS and the nodes' code: it starts them as processes (``suite.py``).
+Must not know: ROS and the code of the nodes, because it starts them as processes (``suite.py``).
 Begin with: ``run.py``.
 """
 

@@ -1,4 +1,4 @@
-"""``capture-sim bench``."""
+"""``capture-sim bench``: run scenes with the ROS 2 nodes, and tabulate and draw the results."""
 
 from __future__ import annotations
 

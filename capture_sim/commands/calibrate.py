@@ -1,4 +1,4 @@
-"""``capture-sim calibrate``."""
+"""``capture-sim calibrate``: fit the parameters of a bench to its trials, and predict a trial."""
 
 from __future__ import annotations
 
@@ -62,9 +62,9 @@ EXAMPLE = """\
   capture-sim calibrate trial_0.mcap trial_p10.mcap trial_m10.mcap \\
     --weighed chaser.mass='22.6 +- 0.02 kg' --out runs/my_bench
   capture-sim calibrate trial_*.mcap --predict next.yaml --placement '0.2 mm, 1 mrad'"""
-#: Name of the bench's scene where the trials' own is none of the package.
+#: File for the scene of the trials, which is written if it is not a scene of the package.
 _BENCH = "bench.yaml"
-#: Candidates that are printed.
+#: Number of candidates for what the model lacks that are printed.
 _SHOWN = 3
 
 
@@ -181,7 +181,7 @@ def _weighed(scene: Scene, texts: Sequence[str]) -> dict[str, Weighed]:
 
 
 def parameter_rows(found: Calibration) -> list[list[str]]:
-    """Return the parameters as rows of a table."""
+    """Return a row of text for each fitted parameter, with the columns of :data:`HEAD`."""
     rows = []
     for name, value, error, unit, begun in zip(
         found.names, found.values, found.errors, found.units, found.begun, strict=True
@@ -197,7 +197,10 @@ HEAD = ["parameter", "value", "+-", "%", "unit", "start", ""]
 
 
 def print_starts(found: Calibration) -> None:
-    """Print the start of each trial relative to its scene, and which part of the trial was used."""
+    """Print a table of the start of each trial, and the time up to which the trial was used.
+
+    A start is the fitted poses of both vehicles less the poses of the scene, and the release time.
+    """
     assert found.problem is not None
     rows = []
     has_release = any(start.is_release_fitted for start in found.starts)
@@ -239,7 +242,7 @@ def _print(found: Calibration) -> None:
 
 
 def _test_lines(found: Calibration) -> list[str]:
-    """Return the results of a fit's tests, one line each."""
+    """Return lines with the results of the tests of a fit, to be printed and written to a file."""
     agreeing = [apart for above, apart in found.restarts if above < 4.0]
     lines = [
         f"chi2 {found.reduced_chi2:.4g} per degree of freedom ({found.freedom}), "
@@ -297,7 +300,7 @@ def _print_prediction(prediction: Prediction) -> None:
 
 
 def _write(found: Calibration, runs: Sequence[Run], options: argparse.Namespace) -> None:
-    """Write the calibrated scene, the data, the table and the plots."""
+    """Write the calibrated scene, the values as JSON, the table and the plots to ``--out``."""
     out: Path = options.out
     scene = runs[0].scene
     extends = _extended(scene, out)
@@ -319,7 +322,11 @@ def _write(found: Calibration, runs: Sequence[Run], options: argparse.Namespace)
 
 
 def _extended(scene: Scene, folder: Path) -> str:
-    """Return the name of the scene that the calibrated one extends; write it if it is a new one."""
+    """Return the name of the scene that the calibrated scene extends.
+
+    If ``scene``, the scene of the trials, is not a scene of the package, it is written to the
+    folder as ``bench.yaml``, and the name is ``bench``.
+    """
     if scene.name in scene_names() and load_scene(scene.name) == scene:
         return scene.name
     write_text(folder / _BENCH, scene.to_yaml())
@@ -327,7 +334,10 @@ def _extended(scene: Scene, folder: Path) -> str:
 
 
 def _sha256(path: Path) -> str:
-    """Return the hash of a recording: of its file, or of the .mcap files of its folder."""
+    """Return the SHA-256 hash of a recording, in hexadecimal digits.
+
+    For the folder of a bag, it is the hash of all its .mcap files in the order of their names.
+    """
     digest = hashlib.sha256()
     for file in sorted(path.glob("*.mcap")) if path.is_dir() else [path]:
         with file.open("rb") as opened:

@@ -1,4 +1,4 @@
-"""``capture-sim compare``."""
+"""``capture-sim compare``: compare two runs, e.g. a measured and a simulated run."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ DESCRIPTION = (
 IDENTICAL = "identical"
 #: Standard deviations of the start poses that are expected of a new trial.
 PLACEMENT = "1 mm, 5 mrad"
-#: Beyond this share of A, a difference is not written in percent.
+#: A difference larger than this multiple of the value of A is not printed in percent.
 _LARGEST_SHARE = 10.0
-#: Number of touches in the printed list.
+#: Maximum number of rows in the printed list of touches.
 SHOWN = 12
 FAILS = (
     "with --simulated, the samples of a simulated recording differ; with --calibrated, the "
@@ -176,7 +176,10 @@ def _with_calibration(options: argparse.Namespace) -> int:
 
 
 def _simulated(run: Run) -> Run:
-    """Return the scene of a run, simulated, with the thrust of the run."""
+    """Simulate the scene of a run again, and return the simulated run.
+
+    If the run has exact samples, the thrust that they contain is applied again.
+    """
     from capture_sim.run.simulation import applied_again, simulate
 
     compile_first()
@@ -184,7 +187,7 @@ def _simulated(run: Run) -> Run:
 
 
 def _print_agreement(found: Agreement, recorded: Run) -> None:
-    """Print how far the samples of a recording agree with its scene simulated again."""
+    """Print how closely the samples of a recording agree with a new simulation of its scene."""
     echo(f"{found.compared} of {recorded.samples.size} samples compared")
     if found.foreign:
         echo(f"  {found.foreign} samples do not match this run: another publisher or another run")
@@ -242,12 +245,15 @@ def _compare(a: Side, b: Side, labels: list[str], options: argparse.Namespace) -
 
 
 def _check_window(a: Side, b: Side, window: float) -> float:
-    """Return how long both were measured after their first contacts, s.
+    """Return the time after the first contact that the measurements of both runs cover, s.
+
+    It is the largest time of all quantities that both runs have, at least 0.
 
     Raises
     ------
     RecordingError
-        The window, or the time that both cover, has too few samples of every quantity.
+        The runs have no quantity in common, or no quantity has ``MIN_SAMPLES`` samples of each run
+        within the window or within the time that both runs cover.
     """
     mine, theirs = a.measured, b.measured
     shared = [name for name in mine if name in theirs]
@@ -278,7 +284,11 @@ def _check_window(a: Side, b: Side, window: float) -> float:
 
 
 def _gap_row(gap: Gap, over: float, source: str) -> list[str]:
-    """Return the difference of a measured number over time, as a row of the table."""
+    """Return the table row of a difference B - A: name, rms, peak, time of the peak and source.
+
+    ``over`` is the compared time, s after the first contact.  If the samples of both runs cover
+    only a part of it, the row names this part.
+    """
     unit, factor = gap.part.unit, gap.part.factor
     name = f"{gap.series}.{gap.part.label}".rstrip(".")
     whole = gap.begin < 0.02 * over and gap.end > 0.98 * over
@@ -309,7 +319,10 @@ def _print_characteristics(a: Side, b: Side) -> None:
 
 
 def _print_touches(a: Side, b: Side, window: float) -> None:
-    """Print the touches one by one, paired by wall and time."""
+    """Print a table of the touches of both runs, paired by wall and time, and a summary of each.
+
+    Only touches within ``window``, s after the first contact, are listed.
+    """
     both: list[Touches] = []
     for label, side in (("A", a), ("B", b)):
         if side.touches is None:
@@ -362,7 +375,10 @@ _NO_TOUCH = (" ", math.nan, math.nan, math.nan, math.nan)
 
 
 def _touch_rows(touches: Touches) -> Iterator[tuple[str, float, float, float, float]]:
-    """Yield wall, start (ms), peak (N), duration (ms) and impulse (N s) of each touch."""
+    """Yield wall, start (ms), peak (N), duration (ms) and impulse (N s) of each touch.
+
+    The wall is "+" or "-", or " " if it is not known.
+    """
     signs = [{1: "+", -1: "-"}.get(int(wall), " ") for wall in touches.wall]
     ms = touches.start * 1e3
     yield from zip(signs, ms, touches.peak, touches.lasted * 1e3, touches.impulse, strict=True)
@@ -373,14 +389,15 @@ def _number(value: float, digits: int, sign: str = "") -> str:
 
 
 def _difference(value: float, sign: str = "+") -> str:
-    """Return a difference with four decimals, or its order of magnitude if they are all 0."""
+    """Return a difference as text: with four decimals, or as e.g. 3e-07 if all four would be 0."""
     return f"{value:{sign}.4f}" if abs(value) >= 5e-5 else f"{value:{sign}.0e}"
 
 
 def _percent(mine: float, theirs: float, shown: float, digits: int = 1) -> str:
-    """Return the difference in percent of ``mine``; ``-`` where it has no meaning.
+    """Return the difference ``theirs - mine`` in percent of ``mine``, or "-" without a percentage.
 
-    That is where ``mine`` is zero as ``shown`` (its last digit), or is a tenth of the difference.
+    There is no percentage if ``mine`` is printed as zero or is NaN, or if the difference is more
+    than ten times ``mine``.  ``shown`` is the value of the last printed digit of ``mine``.
     """
     if not abs(mine) >= 0.5 * shown:  # NaN too
         return "-"

@@ -1,4 +1,4 @@
-"""Compilation of the kernels, once for each version, with its progress."""
+"""Compilation of the numerical kernels, once for each version, with a display of the progress."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from capture_sim.dynamics.compilation import compile_kernels, is_compiled
 
 
 def compile_first() -> None:
-    """Load the kernels; if this version is not compiled yet, compile it and show the progress."""
+    """Load the compiled kernels.
+
+    If this version of capture_sim is not compiled yet, compile it first and show the progress.
+    """
     if is_compiled():
         compile_kernels()
         return

@@ -1,4 +1,4 @@
-"""``capture-sim design``."""
+"""``capture-sim design``: find the best buffers that capture within limits."""
 
 from __future__ import annotations
 
@@ -300,7 +300,7 @@ def _design(
     archive: Archive,
     journal: Journal,
 ) -> int:
-    """Search, report and write the front; return the exit status."""
+    """Search for the best buffers, print the report and write the files; return the exit status."""
     objectives = requirements.objectives
     echo(f"objectives: {', '.join(each.meaning for each in objectives)}")
     limits = [limit.text for limit in requirements.limits]
@@ -369,13 +369,20 @@ def _design(
 
 
 def _free(texts: Sequence[str]) -> list[str]:
-    """Return the free values from lists of names; a catalogue in brackets contains commas too."""
+    """Return the free values that ``--free`` names, each as a text; without it, :data:`FREE`.
+
+    The texts are split at commas, except at the commas of a catalogue in brackets.
+    """
     items = [item for text in texts for item in re.split(r",(?![^\[]*\])", text)]
     return items or list(FREE)
 
 
 def _window(text: str, objectives: Sequence[Measure]) -> Window:
-    """Return the window of an objective, ``LOAD=LOW:HIGH``; a unit at the end is of both."""
+    """Return the window that the text ``LOAD=LOW:HIGH`` of ``--window`` describes.
+
+    The unit of HIGH also applies to LOW if LOW has none.  SceneError if the text is invalid, if
+    LOAD is not an objective, or if there is only one objective.
+    """
     key, _, ends = (part.strip() for part in text.partition("="))
     measure = next((each for each in objectives if each.key == key), None)
     if measure is None or len(objectives) < 2:
@@ -395,14 +402,17 @@ def _window(text: str, objectives: Sequence[Measure]) -> Window:
     return window
 
 
-#: The runs of a design, in its folder.
+#: File in the folder of a design to which its runs are written.
 _JOURNAL = "design.journal"
 
 
 def _journal(
     scene: Scene, requirements: Requirements, free: Sequence[str], options: argparse.Namespace
 ) -> Journal:
-    """Return the journal of the runs, including the runs of an interrupted design."""
+    """Open the journal, the file to which the runs of the design are written, and return it.
+
+    With ``--resume``, the journal also has the runs of the interrupted design.
+    """
     head: dict[str, Any] = {"study": "design", "software": list(software_versions())}
     head["scene"] = scene.to_yaml()
     under = requirements.under
@@ -422,7 +432,11 @@ def _journal(
 
 
 def _earlier(folder: Path, scene: Scene) -> list[tuple[Any, ...]]:
-    """Return the runs of an earlier design, as entries of an archive."""
+    """Return the runs of an earlier design, each entry as the arguments of ``Archive.add``.
+
+    ``folder`` is the folder of that design.  SceneError if it has another scene or is of another
+    version of capture_sim.
+    """
     head, entries = read_journal(folder / _JOURNAL)
     if head.get("scene") != scene.to_yaml():
         raise SceneError(f"--from {folder}: must be a design of the same scene")
@@ -440,7 +454,10 @@ def _pick(text: str) -> int | str:
 
 
 def _picked(design: Design, pick: int | str) -> int | None:
-    """Return the index of the row that is picked; None without a buffer."""
+    """Return the index of the row that ``--pick`` selects; None if no buffer was found.
+
+    If there is no row of the given number, the index of the knee is returned, with a warning.
+    """
     if not design.rows:
         return None
     if isinstance(pick, str):
@@ -452,7 +469,7 @@ def _picked(design: Design, pick: int | str) -> int | None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Raise SceneError for options that do not belong together."""
+    """Raise SceneError if an option excludes, or requires, another option."""
     targets = {"--stroke": options.stroke, "--torsion": options.torsion}
     if options.first_contact:
         if (options.stroke is None) != (options.torsion is None):
@@ -482,7 +499,10 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _objectives(options: argparse.Namespace, free: Sequence[str]) -> tuple[Measure, ...]:
-    """Return the given objectives, or by default the loads that the buffer transmits."""
+    """Return the objectives of ``--minimize`` and ``--maximize``.
+
+    The default is the peak force of the buffer and, if a torsional value is free, its peak torque.
+    """
     least = [name.strip() for text in options.minimize for name in text.split(",")]
     if not (least or options.maximize):
         least = ["max_buffer_force"]
@@ -492,7 +512,10 @@ def _objectives(options: argparse.Namespace, free: Sequence[str]) -> tuple[Measu
 
 
 def _limits(options: argparse.Namespace) -> tuple[Limit, ...]:
-    """Return the limits that are given."""
+    """Return the limits of ``--stroke-limit``, ``--torsion-limit``, ``--peak-force``, ``--limit``.
+
+    SceneError is raised if a load has two limits.
+    """
     limits: dict[str, float] = {}
     if options.stroke_limit is not None:
         limits |= dict.fromkeys(
@@ -510,7 +533,11 @@ def _limits(options: argparse.Namespace) -> tuple[Limit, ...]:
 
 
 def _own_limits(scene: Scene) -> tuple[Limit, ...]:
-    """Return the strokes and the torsion of the scene's own buffer as limits."""
+    """Return limits equal to the largest stroke and the torsion of the scene's own buffer.
+
+    The scene is run to its end; the largest stroke limits both directions.  SceneError if the run
+    has no stroke or no torsion.
+    """
     loads = run_to_end(scene).loads
     stroke = max(loads["max_axial_stroke_in"], loads["max_axial_stroke_out"])
     if not stroke or not loads["max_torsion"]:
@@ -523,7 +550,10 @@ def _own_limits(scene: Scene) -> tuple[Limit, ...]:
 
 
 class _Candidates:
-    """Output of the candidate buffers: the latest on a terminal, all with ``--verbose``."""
+    """Output of the candidate buffers while ``--first-contact`` searches.
+
+    With ``--verbose``, each candidate is printed.  Otherwise a terminal shows the latest candidate.
+    """
 
     def __init__(self, line: Callable[[Any], str], *, verbose: bool) -> None:
         self._line, self._verbose = line, verbose
@@ -574,7 +604,7 @@ def _trial_line(trial: FlowRun) -> str:
 
 
 def _design_first_contact(scene: Scene, options: argparse.Namespace) -> int:
-    """Design as in the paper; return the exit status."""
+    """Run ``--first-contact``, the design flow of the paper; return the exit status."""
     prepare_folder(options.out)
     compile_first()
     stroke, torsion = options.stroke, options.torsion
@@ -636,7 +666,7 @@ def _report_first_contact(design: FirstContactDesign) -> None:
 
 
 def _keep_first_contact(design: FirstContactDesign, folder: Path) -> None:
-    """Write the scene with the designed buffer, and every run of the flow."""
+    """Write the designed buffer as a scene, if one was found, and all runs of the design flow."""
 
     def plain(trial: FlowRun) -> dict[str, Any]:
         nearest = None if math.isnan(trial.nearest) else trial.nearest

@@ -1,4 +1,7 @@
-"""The printed and written results of a design: the front, its rows as scenes, costs of limits."""
+"""Output of a design: the printed report, and the files with its front, scenes and candidates.
+
+The front is the set of buffers that no other buffer beats in all objectives; each is a row.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ from capture_sim.studies.variables import DAMPING_RATIO
 
 
 def report_front(sections: Sequence[Section]) -> None:
-    """Print a design, see :func:`sections_of`."""
+    """Print the sections of a report, see :func:`sections_of`."""
     for section in sections:
         for line in section.before:
             echo(line)
@@ -36,7 +39,12 @@ def report_front(sections: Sequence[Section]) -> None:
 
 
 def sections_of(design: Design, picked: int | None, costs: Sequence[LimitCost]) -> list[Section]:
-    """Return the report of a design: the front, the picked row with its run, costs of limits."""
+    """Return the sections of the report of a design.
+
+    They are the front, the picked buffer with a new run of it, the check by draws and the costs of
+    limits.  ``picked`` is the index of a row; None, if no buffer was found, gives one section with
+    the reason.
+    """
     n_feasible = sum(each.feasible for each in design.history)
     tried = f"{len(design.history)} buffers tried, {n_feasible} feasible"
     if picked is None:
@@ -69,7 +77,10 @@ def _picked_text(design: Design, picked: int) -> str:
 
 
 def _shown_measures(design: Design) -> list[Measure]:
-    """Return the objectives and the limited loads, each once."""
+    """Return the quantities of the table: objectives, limited loads and capture range, each once.
+
+    The capture range is included if the design has an area of approach.
+    """
     requirements = design.requirements
     keys = [each.key for each in (*requirements.objectives, *requirements.limits)]
     if requirements.area:
@@ -78,7 +89,10 @@ def _shown_measures(design: Design) -> list[Measure]:
 
 
 def _front_table(design: Design) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows of the front, and the scene's own buffer below them."""
+    """Return the head and the rows of the table of the front; the last row is the own buffer.
+
+    The own buffer is the buffer of the given scene.
+    """
     measures, variables = _shown_measures(design), design.variables
     head = ["row"]
     head += [f"{each.meaning}\n{each.load.shown_in}" for each in measures]
@@ -101,12 +115,15 @@ def _front_table(design: Design) -> tuple[list[str], list[list[str]]]:
     return head, [*rows, cells("own", design.own, None)]
 
 
-#: Text of a candidate, and of its row if it is one, in a column.
+#: Function that returns the cell of a column for a candidate; the row is None for the own buffer.
 _Show = Callable[[Candidate, DesignRow | None], str]
 
 
 def _details(design: Design) -> dict[str, _Show]:
-    """Return the columns that say how good a row is, by their heads."""
+    """Return the table columns on the quality of a row: for each head, the function of its cells.
+
+    They are convergence, how long the tip stays captured, and sensitivity to changed values.
+    """
     details: dict[str, _Show] = {"found": lambda _, row: row.convergence if row else ""}
     if any(row.stays is not None for row in design.rows):
         details["stays\nuntil s"] = _stays_text
@@ -139,7 +156,11 @@ def _sharpness_text(row: DesignRow | None) -> str:
 
 
 def _notes(design: Design) -> list[str]:
-    """Return notes for the reader of the table: draws, ends of ranges, other loads, staying."""
+    """Return the notes below the table of the front.
+
+    They report values at an end of their range, large loads without a limit, a tip that leaves or
+    passes BE, and from which runs the loads come if there are dispersions.
+    """
     notes = []
     if design.requirements.under is not None and design.interrupted:
         notes.append("loads: of the scene without dispersions, as the search was interrupted")
@@ -189,7 +210,11 @@ def _text_of(measure: Measure, candidate: Candidate) -> str:
 
 
 def _against_own(design: Design) -> list[str]:
-    """Return by how much the front beats the scene's own buffer."""
+    """Return lines that compare the front with the scene's own buffer.
+
+    They give the verdict of the own buffer if it does not capture.  Otherwise they give the limits
+    that it exceeds, and by how much the front improves each objective.
+    """
     own = design.own
     if own.verdict != CAPTURED:
         return [f"the scene's own buffer ends {own.verdict}"]
@@ -212,7 +237,7 @@ def _against_own(design: Design) -> list[str]:
 
 
 def _costs_section(costs: Sequence[LimitCost], objectives: Sequence[Measure]) -> Section:
-    """Return the costs of the active limits in the objectives."""
+    """Return the section on active limits: the change of each objective if a limit is increased."""
     steps = " and ".join(f"{step:.0%}" for step in STEPS)
     title = f"\nactive limits, and the change of each objective with {steps} more of them"
     head = ["limit", "used"]
@@ -229,7 +254,10 @@ def _costs_section(costs: Sequence[LimitCost], objectives: Sequence[Measure]) ->
 
 
 def _change_text(change: CostChange) -> str:
-    """Return a change with its error, both with digits enough not to be 0."""
+    """Return the change of an objective and its error, in percent, as text.
+
+    The number of decimals is such that the error is not printed as 0.  NaN gives "not found".
+    """
     if math.isnan(change.value):
         return "not found"
     digits = min(max(1 - math.floor(math.log10(change.error * 100.0)), 2), 5)
@@ -255,12 +283,12 @@ def _buffer_text(design: Design, row: DesignRow) -> str:
 
 
 def print_whole_run(scene: Scene, outcome: Outcome, limits: Sequence[Limit]) -> None:
-    """Print verdict and loads of a design's run, with the limits."""
+    """Print the verdict and the loads of the run of a designed buffer, with the limits."""
     report_front([_whole_run(scene, outcome, limits)])
 
 
 def _whole_run(scene: Scene, outcome: Outcome, limits: Sequence[Limit]) -> Section:
-    """Return verdict and loads of a design's run, with the limits."""
+    """Return the section with the verdict and the loads of the run of a designed buffer."""
     after = []
     if text := implausible_stroke(scene, outcome.loads["max_axial_stroke_in"]):
         after.append(text)
@@ -279,7 +307,10 @@ def _verdict(outcome: Outcome) -> str:
 
 
 def _load_rows(outcome: Outcome, limits: Sequence[Limit]) -> list[list[str]]:
-    """Return one row for each load of the design's entire run, with its limit."""
+    """Return table rows with the verdict and the loads of a run, with time, limit and margin.
+
+    Loads that are 0 or unknown are left out, as are loads before the latch without a limit.
+    """
     by_key, loads = {limit.key: limit for limit in limits}, outcome.loads
     rows = [["verdict", _verdict(outcome), f"{outcome.t:.3f}", "captured"]]
     for row_load in LOADS:
@@ -303,7 +334,11 @@ def write_front(
     folder: Path,
     seed: int,
 ) -> None:
-    """Write the front, its rows as scenes, the picked one, and every candidate of the search."""
+    """Write the result of a design to a folder.
+
+    ``design.json`` has all results and candidates, ``design.yaml`` is the scene with the picked
+    buffer.  A front of several rows is also written as ``front.csv`` and as a scene for each row.
+    """
     requirements = design.requirements
     keys = [each.key for each in _shown_measures(design)]
 
@@ -382,7 +417,10 @@ def _without_nan(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _front_csv(design: Design) -> str:
-    """Return the front as CSV, units in the head: free values, all loads, SI; how it was found."""
+    """Return the front as CSV text, a line for each row, in SI units, which the head names.
+
+    The columns are the free values, all loads, and details such as the convergence of the row.
+    """
     keys = [*LOAD_KEYS, *([CAPTURE_RANGE] if design.requirements.area else [])]
     head = ["row", "knee", *(head_of(each.name, each.unit) for each in design.variables)]
     head += [head_of(key, Measure(key).load.unit.replace("1", "")) for key in keys]
@@ -403,18 +441,21 @@ def _front_csv(design: Design) -> str:
 
 
 def outcome_of(outcome: Outcome | None) -> dict[str, Any]:
-    """Return verdict and loads of a run for ``design.json``; None each without a run."""
+    """Return the verdict and the loads of a run for ``design.json``; all None without a run."""
     return {name: getattr(outcome, name, None) for name in ("verdict", "left_again", "loads")}
 
 
 def write_design(kept: Mapping[str, Any], scene: Scene | None, folder: Path) -> None:
-    """Write ``design.json`` and, if there is a buffer, ``design.yaml``."""
+    """Write ``kept`` as ``design.json`` and the scene, unless it is None, as ``design.yaml``."""
     echo(f"every candidate in {write_json(folder / 'design.json', kept)}")
     if scene is not None:
         echo(f"scene in {write_text(folder / 'design.yaml', _named(scene).to_yaml())}")
 
 
 def _named(scene: Scene, number: str = "") -> Scene:
-    """Return a scene with another name, so that both can be run into one folder and compared."""
+    """Return the scene under a new name, ``<name>_design<number>``.
+
+    The designed and the original scene can thus be run into the same folder.
+    """
     name, title = f"{scene.name}_design{number}", f"{scene.title}; designed"
     return dataclasses.replace(scene, name=name, title=title)

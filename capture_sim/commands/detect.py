@@ -1,4 +1,4 @@
-"""``capture-sim detect``."""
+"""``capture-sim detect``: evaluate a recorded run again with the capture detector."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from capture_sim.run.run import detect
 from capture_sim.run.verdict import TICK, with_criteria
 from capture_sim.scene.parts import Detector
 
-# s: a bench's messages reach detector and recorder in different orders
+# s, accepted difference in the time of a verdict: in a recording of nodes, messages may have
+# reached the detector and the recorder in different orders
 _BENCH_TOLERANCE = 0.1
 
 DESCRIPTION = (
@@ -85,8 +86,8 @@ def run(options: argparse.Namespace) -> int:
     before = recorded.statuses[-1]
     since_before = _since(before)
     tolerance = TICK if is_simulated else _BENCH_TOLERANCE
-    # undecided has no time of its own: detector and recorder of a bench begin and end apart, and
-    # of a recording that was cut the last messages of each differ
+    # the time of "undecided" is not compared: on a bench, detector and recorder begin and end at
+    # different times, and the last messages of both differ if a recording was cut
     is_timed = verdict.state.is_verdict or (is_simulated and before.final)
     is_near = abs(since_before - since) < tolerance
     same = before.state is verdict.state and (is_near or not is_timed)
@@ -110,17 +111,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _since(status: CaptureStatus) -> float:
-    """Return when a status's state began, s since the release."""
+    """Return the time at which the state of a status began, s since the release."""
     return status.t - status.time_in_state
 
 
 def _limits_changed(overrides: Sequence[str]) -> set[str]:
-    """Return the names of the criteria that are changed.
+    """Return the names of the detector's criteria that ``--set`` changes.
 
     Raises
     ------
     SceneError
-        An override changes another field.
+        An override changes a field of the scene that is not a criterion of the detector.
     """
     allowed = [f.name for f in fields(Detector)]
     changed = set()

@@ -1,4 +1,4 @@
-"""``capture-sim export``."""
+"""``capture-sim export``: write a recording as CSV, NumPy or Parquet tables."""
 
 from __future__ import annotations
 
@@ -71,7 +71,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _folder_beside(recording: Path, to: str) -> Path:
-    """Return the default folder of tables: next to the recording, never inside a bag."""
+    """Return the default folder for the tables of a recording in the format ``to``.
+
+    For npz it is the folder of the recording.  Otherwise it is a folder with the name of the
+    recording; if that is a bag, ``_tables`` is added, so that nothing is written into the bag.
+    """
     if to == "npz":
         return recording.parent
     from capture_sim.recording.bag_folder import is_bag

@@ -1,4 +1,4 @@
-"""``capture-sim fmu``."""
+"""``capture-sim fmu``: write a scene as an FMI 3.0 unit or as a library in C."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from capture_sim.fmu.library import make_unit, write_library
 
 DESCRIPTION = "Write a scene as a co-simulation unit (FMI 3.0) or as a library in C."
 EXAMPLE = "  capture-sim fmu tilt_0 --out tilt_0.fmu\n  capture-sim fmu tilt_0 --c build/tilt_0"
-#: Suffix of a unit; FMI tools open no other file.
+#: File suffix of a co-simulation unit; FMI tools open no files with another suffix.
 SUFFIX = ".fmu"
 
 

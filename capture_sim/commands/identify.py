@@ -1,4 +1,4 @@
-"""``capture-sim identify``."""
+"""``capture-sim identify``: fit parameters of a scene to one recorded run."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Inputs of commands: arguments, scenes, recordings; checked before anything runs.
+"""Inputs that several commands share: arguments, scenes and recordings, checked before any run.
 
-Recordings and plots need libraries that most commands do not: they are imported where they are
-used.
+Modules for recordings are imported inside the functions that use them, because most commands do
+not need them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Read = TypeVar("Read")
 Number = TypeVar("Number", int, float)
 
-#: Number of processes of a study.
+#: Allowed numbers of processes of a study.
 WORKERS = Range(1, 1024)
 #: Seeds that every generator accepts.
 SEEDS = Range(0, 2**32 - 1)
@@ -46,14 +46,14 @@ _UNITS = {
 
 
 def reader(read: Callable[[str], Read], allowed: str) -> Callable[[str], Read]:
-    """Return a reader of an argument, for its ``type=``, whose error states the allowed values.
+    """Return a function for ``type=`` of an argument, with an error that states what is allowed.
 
     Parameters
     ----------
     read
-        Function of a text; raises ValueError if the text is not allowed.
+        Function that converts the text of the user; raises ValueError if it is not allowed.
     allowed
-        Text after "must be".
+        Allowed values in words, which follow "must be" in the error message.
     """
 
     def read_allowed(text: str) -> Read:
@@ -73,12 +73,15 @@ def _within(value: Number, allowed: Range) -> Number:
 
 
 def number(allowed: Range = Range(), unit: str = "") -> Callable[[str], float]:  # noqa: B008
-    """Return a reader of a finite number within a range."""
+    """Return a function for ``type=`` of an argument: a finite number within a range.
+
+    ``unit`` follows the range in the error message.
+    """
     return reader(lambda text: _within(float(text), allowed), f"a number {allowed}{unit}")
 
 
 def whole(allowed: Range = NOT_NEGATIVE) -> Callable[[str], int]:
-    """Return a reader of an integer within a range."""
+    """Return a function for ``type=`` of an argument: an integer, not negative, within a range."""
 
     def read(text: str) -> int:
         # the length: Python refuses to convert thousands of digits
@@ -94,19 +97,19 @@ positive = number(POSITIVE)
 
 
 def quantity(text: str, unit: str) -> float:
-    """Return a number with or without a unit, e.g. ``5 deg``, in SI.
+    """Convert a number with or without a unit, e.g. ``5 deg``, to SI.
 
     Parameters
     ----------
     text
         The user's text.
     unit
-        Unit of a plain number, e.g. "mm".
+        Unit of a number without a unit: mm, mrad, deg, % or N.
 
     Raises
     ------
     ValueError
-        The number is not finite, or its unit has another dimension.
+        The text is not a finite number, or its unit is unknown or has another dimension.
     """
     si_unit, factor = _UNITS[unit]
     value_text, given = split(text)
@@ -117,14 +120,17 @@ def quantity(text: str, unit: str) -> float:
 
 
 def in_unit(unit: str, allowed: Range = POSITIVE) -> Callable[[str], float]:
-    """Return a reader of a quantity (``5``, ``5 mm``), in SI."""
+    """Return a function for ``type=`` of an argument: a number that is converted to SI.
+
+    The user may write a unit (``5 mm``); a number without a unit is in ``unit``.
+    """
     return reader(
         lambda text: _within(quantity(text, unit), allowed), f"a number {allowed}, in {unit}"
     )
 
 
 def add_experiments(parser: argparse.ArgumentParser) -> None:
-    """Add the scenes to run, the folder of the results, and changes to the scenes."""
+    """Add the arguments for the scenes to run, ``--out`` for the results, and ``--set``."""
     parser.add_argument(
         "experiments",
         nargs="+",
@@ -144,7 +150,7 @@ def add_experiments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_scene(parser: argparse.ArgumentParser, default: str) -> None:
-    """Add the scene of a study, and changes to it."""
+    """Add the argument for the scene of a study, and ``--set`` for changes to the scene."""
     parser.add_argument(
         "scene",
         nargs="?",
@@ -158,19 +164,19 @@ def add_scene(parser: argparse.ArgumentParser, default: str) -> None:
 def add_out(
     parser: argparse.ArgumentParser, default: str, what: str = "write the results to this folder"
 ) -> None:
-    """Add the folder of the results."""
+    """Add ``--out``, the folder of the results; ``what`` is its help text."""
     parser.add_argument(
         "--out", type=Path, default=Path(default), help=f"{what} (default: {default})"
     )
 
 
 def folder_beside(source: str) -> Path:
-    """Return the folder that holds a recording, or the current one for a scene."""
+    """Return the folder in which a recording lies; for a scene, the current folder."""
     return Path(source).parent if is_recording(source) else Path()
 
 
 def add_overrides(parser: argparse.ArgumentParser) -> None:
-    """Add ``--set PART.FIELD=VALUE``."""
+    """Add ``--set PART.FIELD=VALUE``, which changes a value of the scene."""
     parser.add_argument(
         "--set",
         action="append",
@@ -183,7 +189,10 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
 
 
 def add_runs(parser: argparse.ArgumentParser) -> None:
-    """Add recordings or scenes to look at, and options for data that a recording may lack."""
+    """Add the argument for recordings or scenes to draw, and options to complete recordings.
+
+    These options are ``--scene``, ``--waive``, ``--release`` and ``--remap``.
+    """
     parser.add_argument(
         "runs", nargs="+", metavar="RUN", help="recorded .mcap files, folders of bags, or scenes"
     )
@@ -193,7 +202,10 @@ def add_runs(parser: argparse.ArgumentParser) -> None:
 
 
 def add_geometry(parser: argparse.ArgumentParser) -> None:
-    """Add ``--scene SCENE`` for a recording that contains no scene."""
+    """Add ``--scene``, for a recording that contains no scene, and ``--waive``.
+
+    ``--waive`` names a plausibility rule that is not checked.
+    """
     parser.add_argument(
         "--scene",
         metavar="SCENE",
@@ -222,7 +234,7 @@ def add_release(parser: argparse.ArgumentParser) -> None:
 
 
 def add_remaps(parser: argparse.ArgumentParser) -> None:
-    """Add ``--remap TOPIC:=RECORDED_TOPIC``."""
+    """Add ``--remap TOPIC:=RECORDED_TOPIC``, for a topic that was recorded under another name."""
     parser.add_argument(
         "--remap",
         action="append",
@@ -235,7 +247,7 @@ def add_remaps(parser: argparse.ArgumentParser) -> None:
 
 
 def add_limits(parser: argparse.ArgumentParser) -> None:
-    """Add the limits of the loads of a study."""
+    """Add ``--limit LOAD=VALUE``, which limits a load in the runs of a study."""
     parser.add_argument(
         "--limit",
         action="append",
@@ -248,14 +260,18 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
 
 
 def add_seed(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add ``--seed``."""
+    """Add ``--seed``, a seed of random numbers; its help text is "set the seed of <what>"."""
     parser.add_argument(
         "--seed", type=whole(SEEDS), default=1, help=f"set the seed of {what} (default: 1)"
     )
 
 
 def add_under(parser: argparse.ArgumentParser, help_text: str) -> None:
-    """Add the file of the dispersions of a study, and their correlations."""
+    """Add the options for the dispersions (random variations) of a study.
+
+    They are ``--under`` for a file of distributions, ``--correlate`` for correlations, and
+    ``--calibrated`` for the parameters of a calibration with their errors.
+    """
     parser.add_argument(
         "--under",
         type=Path,
@@ -282,9 +298,11 @@ def add_under(parser: argparse.ArgumentParser, help_text: str) -> None:
 def dispersions(
     options: argparse.Namespace, without: Sequence[str] = ()
 ) -> tuple[dict[str, str], dict[tuple[str, str], float]]:
-    """Return the distributions by name of ``--under`` and ``--calibrated``, and the correlations.
+    """Return the distributions of ``--under`` and ``--calibrated``, and the correlations.
 
-    ``without``: names that are not varied, as a design chooses them.
+    The distributions are texts, e.g. ``normal(0.1, 10%)``, by name.  The correlations are numbers
+    by pairs of names.  ``without`` are calibrated fields that are not varied, because a design
+    chooses their values.  SceneError if an option is invalid or a name has two distributions.
     """
     vary: dict[str, str] = {}
     if options.under is not None:
@@ -326,7 +344,10 @@ def dispersions(
 
 
 def add_resume(parser: argparse.ArgumentParser, study: str) -> None:
-    """Add the option that continues a study that was killed."""
+    """Add ``--resume``, which continues an interrupted or killed study.
+
+    ``study`` is the name of the study in the help text, e.g. "sweep".
+    """
     parser.add_argument(
         "--resume",
         action="store_true",
@@ -336,7 +357,10 @@ def add_resume(parser: argparse.ArgumentParser, study: str) -> None:
 
 
 def add_workers(parser: argparse.ArgumentParser, *, scheduler: bool = True) -> None:
-    """Add the processes or the cluster for the runs of a study."""
+    """Add ``--workers``, the number of processes for the runs of a study.
+
+    Unless ``scheduler`` is False, ``--scheduler``, the address of a Dask cluster, is added too.
+    """
     parser.add_argument(
         "--workers",
         type=whole(WORKERS),
@@ -354,7 +378,8 @@ def add_workers(parser: argparse.ArgumentParser, *, scheduler: bool = True) -> N
 def is_recording(source: str) -> bool:
     """Return True if an argument names a recording (file or folder of a bag), not a scene.
 
-    To name a folder that has the name of a scene, write it as a path (./tilt_0).
+    The name of a packaged scene is never a recording.  A folder with such a name must therefore be
+    given as a path (./tilt_0).
     """
     if source.endswith(".mcap"):
         return True
@@ -375,7 +400,7 @@ def load(source: str, overrides: Sequence[str] = ()) -> Scene:
 
 
 def load_all(sources: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
-    """Load several scenes; their names must differ."""
+    """Load several scenes; SceneError if two of them have the same name."""
     scenes = [load(source, overrides) for source in sources]
     names = [scene.name for scene in scenes]
     twice = {name for name in names if names.count(name) > 1}
@@ -388,7 +413,10 @@ def load_all(sources: Sequence[str], overrides: Sequence[str]) -> list[Scene]:
 
 
 def prepare_folder(folder: Path) -> None:
-    """Create a folder and check, before anything runs, that results can be written to it."""
+    """Raise RecordingError if results cannot be written to a folder.
+
+    Commands call this function before they run anything.  A missing folder is not created yet.
+    """
     if reason := writing_problem(folder):
         raise RecordingError(f"--out {folder}: cannot be written: {reason}; must be a folder")
 
@@ -412,7 +440,7 @@ def open_bag(
     Raises
     ------
     RecordingError
-        It cannot be read, or contains several runs without ``several``.
+        The recording cannot be read, or it contains several runs and ``several`` is False.
     """
     from capture_sim.recording.bag import read_bag, remap_of
 
@@ -434,7 +462,7 @@ def open_run(
     waived: Sequence[str] = (),
     judges: bool = True,
 ) -> Run:
-    """Read a recorded run; print its problems, and the series that are left out or doubted.
+    """Read a recorded run, check its plausibility, and print its problems.
 
     Parameters
     ----------
@@ -443,22 +471,29 @@ def open_run(
     remaps
         From :func:`add_remaps`.
     scene
-        From :func:`add_geometry`: replaces the recorded scene.
+        Scene from :func:`add_geometry`, which replaces the recorded scene; None to keep that.
     overrides
-        Changes of the scene.
+        Changes to the scene, as texts PART.FIELD=VALUE.
     release
         From :func:`add_release`.
     waived
-        Rules of plausibility that are not checked.
+        Names of plausibility rules that are not checked.
     judges
-        False to open a run that breaks a rule of grade *refused*, too, as one that is only drawn.
+        True to raise an error if the run breaks a rule of grade *refused*; False for a run that is
+        drawn but not evaluated.
+
+    Returns
+    -------
+    Run
+        The run without the series that a broken rule excludes.
 
     Raises
     ------
     RecordingError
-        It cannot be read, contains several runs, or breaks a rule of grade *refused*.
+        The recording cannot be read or contains several runs, or, with ``judges``, the run breaks
+        a rule of grade *refused*.
     SceneError
-        The scene or a change of it is invalid.
+        The scene or a change to it is invalid, or a name in ``waived`` is not a rule.
     """
     from capture_sim.recording.read import run_of
 
@@ -473,7 +508,11 @@ def open_run(
 
 
 def _checked(run: Run, path: str, waived: Sequence[str], *, judges: bool) -> Run:
-    """Return a run without the series that are left out; print a line for each and each doubt."""
+    """Return a run without the series that broken plausibility rules exclude.
+
+    A line is printed for each broken rule and topic.  With ``judges``, RecordingError is raised if
+    a rule of grade *refused* is broken.
+    """
     from capture_sim.plausibility.rules import Grade
     from capture_sim.run.doubts import refuse, remaining
 
@@ -488,7 +527,7 @@ def _checked(run: Run, path: str, waived: Sequence[str], *, judges: bool) -> Run
 
 
 def _refuse_several_runs(bag: Bag) -> None:
-    """Raise RecordingError, with the files to choose from, if a recording contains several runs."""
+    """Raise RecordingError if a recording contains several runs; the error names its files."""
     if len(bag.run_ids) < 2:
         return
     files = _recordings_in(bag.path)
@@ -499,7 +538,10 @@ def _refuse_several_runs(bag: Bag) -> None:
 
 
 def _recordings_in(folder: Path) -> list[Path]:
-    """Return the files of a folder that is no bag but holds recordings; empty for any other."""
+    """Return the recorded files in a folder without ``metadata.yaml``; otherwise, an empty list.
+
+    Such a folder may contain several recordings; with ``metadata.yaml`` it is a single bag.
+    """
     from capture_sim.recording.bag_folder import FILE_NAME, bag_files
 
     if not folder.is_dir() or (folder / FILE_NAME).is_file():
@@ -508,7 +550,10 @@ def _recordings_in(folder: Path) -> list[Path]:
 
 
 def _one_run_each(source: str) -> list[str]:
-    """Return the files of a folder of several recorded runs; any other source as it is."""
+    """Return the paths of the files of a folder with several recorded runs.
+
+    For any other source, a recording or a scene, the list contains only this source.
+    """
     from capture_sim.recording.bag import read_bag
 
     files = _recordings_in(Path(source)) if is_recording(source) else []
@@ -526,7 +571,7 @@ def open_or_simulate(
     waived: Sequence[str] = (),
     judges: bool = True,
 ) -> Run:
-    """Open a recording and print its problems, or simulate a scene given by name.
+    """Open a recording and print its problems, or simulate a scene.
 
     Parameters
     ----------
@@ -535,11 +580,12 @@ def open_or_simulate(
     remaps
         From :func:`add_remaps`.
     scene
-        From :func:`add_geometry`: of a recording that contains no exact samples, or no scene.
+        Scene from :func:`add_geometry`.  It is used unless the recording contains both a scene and
+        exact samples.
     release
         From :func:`add_release`.
     waived, judges
-        As of :func:`open_run`.
+        See :func:`open_run`.
     """
     if not is_recording(source):
         return _simulated(source)
@@ -558,30 +604,31 @@ def open_runs(
     remaps: Sequence[str] = (),
     waived: Sequence[str] = (),
 ) -> list[Run]:
-    """Open recordings and print their problems, or run scenes given by name.
+    """Open recordings and print their problems, or simulate scenes.
 
-    No two runs have the same name; a recording's is that of its file or folder.  Of bit-identical
-    runs that were recorded again (``tilt_0.mcap``, ``tilt_0_2.mcap``), only the newest is returned.
+    All runs get different names; a recorded run is named after its file or folder.  If a run was
+    recorded repeatedly with bit-identical samples (``tilt_0.mcap``, ``tilt_0_2.mcap``), only the
+    newest recording is returned.  A folder with several recorded runs gives a run for each file.
 
     Parameters
     ----------
     sources
         MCAP files, folders of bags, or scenes.
     scene
-        Scene for the geometry of a recording that contains none; None for no scene.
+        Scene for recordings that lack a scene or exact samples; None to use recorded scenes only.
     release
         Release time on a real bench, s after the first pose; None to take it from the bag.
     remaps
         From :func:`add_remaps`.
     waived
-        Rules of plausibility that are not checked.
+        Names of plausibility rules that are not checked.
 
     Raises
     ------
     RecordingError
-        A file cannot be read or contains nothing to draw.
+        A file cannot be read or contains several runs.
     SceneError
-        There is no such scene.
+        A scene does not exist or is invalid, or a name in ``waived`` is not a rule.
     """
     if scene is not None:
         load_scene(scene)  # also where every recording contains its own
@@ -596,8 +643,8 @@ def open_runs(
 def _without_repetitions(runs: Sequence[Run], sources: Sequence[str]) -> list[int]:
     """Return the indices of the runs, without runs that a newer file repeats bit by bit.
 
-    A second ``make run`` writes every recording a second time, and ``view runs/*.mcap`` names all
-    of them.
+    Only files in one folder whose names differ by a final number are compared.  A second
+    ``make run`` records every run again, and ``view runs/*.mcap`` would draw each of them twice.
     """
     newest: dict[object, int] = {}
     for k, (run, source) in enumerate(zip(runs, sources, strict=True)):
@@ -614,7 +661,10 @@ def _without_repetitions(runs: Sequence[Run], sources: Sequence[str]) -> list[in
 
 
 def _distinct_names(runs: Sequence[Run], sources: Sequence[str]) -> list[str]:
-    """Return names of runs, with the folder in front if recordings of two folders share a name."""
+    """Return a different name for each run.
+
+    If recordings in two folders have the same name, the name of the folder is put in front.
+    """
     folders: dict[str, set[Path]] = {}
     for run, source in zip(runs, sources, strict=True):
         if is_recording(source):

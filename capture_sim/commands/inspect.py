@@ -1,4 +1,4 @@
-"""``capture-sim inspect``."""
+"""``capture-sim inspect``: say what recordings are worth before they are evaluated."""
 
 from __future__ import annotations
 
@@ -106,7 +106,10 @@ def _number(value: float | None, kind: str) -> str:
 
 
 def _print_judgement(path: str, read: Run) -> None:
-    """Print the broken rules, and the parts that each command lacks."""
+    """Print the plausibility rules that a run breaks, and the data that other commands lack.
+
+    The other commands are detect, compare and identify.  ``path`` starts each line, if not empty.
+    """
     where = f"{path}: " if path else ""
     for doubt in read.doubts:
         echo(f"{where}{doubt.line}")

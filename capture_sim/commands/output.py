@@ -1,7 +1,7 @@
-"""Output of commands: lines, tables, progress, results, plots.
+"""Output that several commands share: lines of text, progress, text files, JSON and plots.
 
-Libraries that draw are imported where they are used: a run without plots does not wait for
-matplotlib and rerun.
+Drawing modules are imported inside the functions that use them, so that a command without plots
+does not wait for matplotlib and rerun.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 OVERVIEW = "overview.png"
 #: All runs for rerun.
 RRD = "runs.rrd"
-#: State of a command that was interrupted while it drew.
+#: Message of a command that was interrupted while it drew.
 IMAGES_MISSING = "the files named above are complete, other plots and rerun files are missing"
 #: Time between two lines of progress without a terminal, s.
 _PAUSE = 10.0
 
 
 def echo(text: str) -> None:
-    """Print lines without delay, also into a pipe; control characters become blanks."""
+    """Print text and flush it at once; control characters except line ends become blanks."""
     print("".join(c if c.isprintable() or c == "\n" else " " for c in text), flush=True)
 
 
@@ -86,7 +86,10 @@ class Progress:
             self._bar.stop()
 
     def at(self, name: str, done: int, count: int) -> None:
-        """Show that ``done`` of ``count`` in the round ``name`` are done, with the time left."""
+        """Show that ``done`` of ``count`` units of a task are done, and the estimated time left.
+
+        Each ``name`` is a task of its own, with its own bar and time.
+        """
         now = time.monotonic()
         began, before = self._began.setdefault(name, (now, done))
         speed = (done - before) / (now - began) if now > began else 0.0
@@ -102,14 +105,17 @@ class Progress:
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write a text file that is complete as soon as it has its name; return its path."""
+    """Write a text file, which gets its name only when it is complete; return its path."""
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
     return path
 
 
 def write_json(path: Path, data: Any) -> Path:
-    """Write data as JSON, arrays as lists with null for NaN; return the path."""
+    """Write data as a JSON file; return its path.
+
+    NumPy arrays become lists with null for NaN.  Any other NaN raises ValueError.
+    """
 
     def plain(array: np.ndarray) -> object:
         values = array.astype(object)
@@ -121,7 +127,10 @@ def write_json(path: Path, data: Any) -> Path:
 
 @contextmanager
 def reported_if_interrupted(state: str) -> Iterator[None]:
-    """After Ctrl-C, let the command's last line name the files that are complete."""
+    """Add a text to the KeyboardInterrupt that Ctrl-C raises in the block.
+
+    ``state`` says which files are complete.  The command line prints it as its last line.
+    """
     try:
         yield
     except KeyboardInterrupt:
@@ -130,7 +139,10 @@ def reported_if_interrupted(state: str) -> Iterator[None]:
 
 @contextmanager
 def drawing(lacking: str = "no plot: {error}") -> Iterator[None]:
-    """Continue without the plot, and print so, if a library that draws is not installed."""
+    """Print a message and continue after the block if a drawing library cannot be imported.
+
+    ``lacking`` is the message, in which ``{error}`` is replaced by the reason.
+    """
     try:
         yield
     except ImportError as error:
@@ -147,14 +159,16 @@ def draw(
     window: tuple[float, float] | None = None,
     beside: Sequence[tuple[Run, str]] = (),
 ) -> None:
-    """Draw each run, all side by side, and all for rerun, if the libraries are installed.
+    """Draw each run, an overview of all runs side by side, and a file of all runs for rerun.
+
+    If matplotlib or rerun is not installed, a message is printed instead.
 
     Parameters
     ----------
     runs
-        Runs to draw.
+        Runs to draw; without a run, nothing is drawn.
     labels
-        One distinct name for each run: that of its recording, as a scene may have several.
+        A different name for each run, which is also the name of its plot.
     folder
         Folder of the plots.
     rrd
@@ -162,9 +176,9 @@ def draw(
     pictures
         False to write only the file for rerun.
     window
-        Time that this file shows, s since the release; None for the whole runs.
+        First and last time that the file for rerun shows, s since the release; None for all.
     beside
-        Further runs with their names, which are only drawn beside the others.
+        Other runs with their names; they are drawn only in the overview and in the file for rerun.
     """
     if not runs:
         return
@@ -191,18 +205,21 @@ def draw(
 
 
 def _begin_drawing() -> None:
-    """Prepare a process that draws.
+    """Prepare a worker process that draws files.
 
-    Ctrl-C ends the command, but never a file that is half drawn.  Objects that the process has
-    inherited are never garbage-collected in it: the destructor of a DDS object needs threads that
-    do not exist after a fork.
+    The process ignores Ctrl-C, so that it completes the file that it is drawing.  It never
+    garbage-collects objects that it has inherited, because the destructor of a DDS object needs
+    threads that do not exist after a fork.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.freeze()
 
 
 class _Job(NamedTuple):
-    """A file to draw: the start of its line, and the call that draws it and returns its path."""
+    """A file to draw, and the start of the line that is printed when it is complete.
+
+    ``draw(*arguments)`` draws the file and returns its path.
+    """
 
     title: str
     draw: Callable[..., Path]

@@ -1,4 +1,4 @@
-"""``capture-sim replay``."""
+"""``capture-sim replay``: publish the messages of a recording with ROS 2."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DESCRIPTION = (
 )
 FAILS = "a node has failed"
 EXAMPLE = "  capture-sim replay runs/tilt_0.mcap --rtf 0.1 --start 2.2"
-#: Nodes that can follow a played run.
+#: Nodes that can be started together with the replay, to process the played messages.
 FOLLOWERS = ("capture_detector", "recorder")
 
 

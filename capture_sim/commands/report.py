@@ -1,4 +1,4 @@
-"""``capture-sim report``."""
+"""``capture-sim report``: write an HTML page about runs."""
 
 from __future__ import annotations
 

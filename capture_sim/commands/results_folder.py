@@ -1,15 +1,15 @@
-"""The tables and plots of a folder of results, beside the recordings that they show.
+"""Update of the tables and plots in a folder of recorded runs.
 
-One rule: ``results.json`` and ``results.txt`` have a row for every recording of capture_sim in
-their folder, and nothing that a command has measured leaves them.
+``results.json`` and ``results.txt`` have a row for every recording in their folder that capture_sim
+has written.  A command never removes the results of other runs from them.
 
-- A command adds its runs.  A row is replaced with its recording: by the same simulated run again,
-  with ``--overwrite``, or if the file has changed since.
-- A recording without a row is read: a command was killed, or the file was recorded by a node, was
-  copied here or is older than the rule.  One without results has a row with the reason.
-- A row without a recording (``--no-record``, or its file was deleted) stays until a run with the
-  same numbers comes.
-- A ``results.json`` that is not such a table is kept under another name.
+- A command adds a row for each of its runs.  A row is replaced if its recording is replaced (by the
+  same simulated run, or with ``--overwrite``) or if the file has changed since.
+- A recording without a row is read, and its row is added.  Its command was killed, or a node
+  recorded it, or it was copied into the folder.  If it has no results, the row gives the reason.
+- A row without a recording (``--no-record``, or the file was deleted) remains until a run with the
+  same numbers is added.
+- A ``results.json`` that is not such a table is renamed and kept.
 - ``overview.png`` and ``runs.rrd`` show the command's runs and the latest other recordings, up to
   :data:`SHOWN` in all.
 """
@@ -37,26 +37,33 @@ NUMBERS = "results.json"
 TABLE = "results.txt"
 #: Largest number of runs that are drawn together, unless one command has made more.
 SHOWN = 6
-#: Mark of a row that has no recording, beside others that have one.
+#: Mark after the name of a row without a recording, if other rows have one.
 _UNRECORDED = "*"
 
 Row = dict[str, Any]
 
 
 class Recorded(NamedTuple):
-    """A run, and its file in the folder; None if it was not recorded."""
+    """A run, and the path of its recording in the folder; None if it was not recorded."""
 
     run: Run
     path: Path | None
 
     @property
     def label(self) -> str:
-        """Name of the run in tables and plots: its recording's, as a scene may have several."""
+        """Name of the run in tables and plots: the name of its recording, else of the run.
+
+        Several recordings of one scene have different names.
+        """
         return self.run.name if self.path is None else self.path.stem
 
 
 class ResultsFolder:
-    """A folder that a command writes runs to; make it before the first recording."""
+    """A folder to which a command writes runs.
+
+    Create the object before the command writes its first recording, because it then notes which
+    recordings of the table have been deleted.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -67,9 +74,9 @@ class ResultsFolder:
         self._deleted = set()
 
     def add(self, runs: Sequence[Recorded]) -> None:
-        """Print the table of the command's runs, and bring the folder's tables up to date.
+        """Print a table of the command's runs, and update the tables of the folder.
 
-        Without a run nothing is written.
+        If ``runs`` is empty, nothing is printed or written.
         """
         if not runs:
             return
@@ -87,7 +94,7 @@ class ResultsFolder:
         echo(f"{of} in {kept}, numbers in {numbers}")
 
     def draw(self, runs: Sequence[Recorded]) -> None:
-        """Draw each run of the command, and all of them with the folder's latest other runs."""
+        """Draw each run of the command, and all of them beside the folder's latest other runs."""
         if not runs:
             return
         own = {run.path for run in runs}
@@ -101,7 +108,11 @@ class ResultsFolder:
         draw([run.run for run in runs], names, self._folder, beside=others)
 
     def _merged(self, own: Sequence[Row]) -> tuple[list[Row], list[str]]:
-        """Return the rows of the folder, the command's rows last, and notes on other files."""
+        """Return all rows of the folder and the notes below the table.
+
+        ``own`` are the rows of the command, which come last.  The notes name the files that
+        capture_sim did not record, and explain the mark of rows without a recording.
+        """
         numbers = self._folder / NUMBERS
         rows, written = self._earlier(numbers)
         taken = {row[RECORDING] for row in own}
@@ -131,7 +142,10 @@ class ResultsFolder:
         return rows, notes
 
     def _earlier(self, numbers: Path) -> tuple[list[Row], int]:
-        """Return the rows of the folder's table, and when it was written, ns."""
+        """Return the rows of the folder's table, and the time of its last change, ns.
+
+        Without a table it returns no rows and 0.  A file that is not a table of runs is renamed.
+        """
         try:
             return _rows_in(numbers), numbers.stat().st_mtime_ns
         except FileNotFoundError:
@@ -144,7 +158,10 @@ class ResultsFolder:
             return [], 0
 
     def _recordings(self) -> list[Path]:
-        """Return the visible MCAP files of the folder, the latest last."""
+        """Return the MCAP files of the folder in the order of their last change.
+
+        Hidden files, whose names begin with a dot, are left out.
+        """
 
         def modified(path: Path) -> tuple[int, str]:
             with suppress(OSError):
@@ -156,7 +173,7 @@ class ResultsFolder:
 
 
 def _rows_in(numbers: Path) -> list[Row]:
-    """Return the rows of a table; ValueError if the file is none."""
+    """Return the rows of a ``results.json``; ValueError if the file is not a table of runs."""
     entries = json.loads(numbers.read_text(encoding="utf-8"))
     if not isinstance(entries, list):
         raise ValueError("must be a list of runs")
@@ -164,7 +181,10 @@ def _rows_in(numbers: Path) -> list[Row]:
 
 
 def _row_of(path: Path) -> Row | None:
-    """Return the row of a recording; None if capture_sim did not record the file."""
+    """Read a recording and return its row; None if capture_sim did not record the file.
+
+    If the recording has no results, the row gives the reason.
+    """
     from capture_sim.recording.read import read_run
     from capture_sim.recording.scan import head_metadata
     from capture_sim.recording.write import RUN_METADATA
@@ -180,7 +200,10 @@ def _row_of(path: Path) -> Row | None:
 
 
 def _drawable(path: Path) -> Run | None:
-    """Return a run that can be drawn with others; None for any other file."""
+    """Read a recording and return its run, to draw it beside other runs.
+
+    None is returned if capture_sim did not record the file or if the run cannot be drawn.
+    """
     from capture_sim.recording.read import read_run
     from capture_sim.recording.scan import head_metadata
     from capture_sim.recording.write import RUN_METADATA
@@ -197,23 +220,31 @@ def _drawable(path: Path) -> Run | None:
 
 
 def _labels(rows: Sequence[Row]) -> list[str]:
-    """Return the names of rows: their recordings', or the runs' with a mark beside such."""
+    """Return the names of rows in the table: the name of the recording, else of the run.
+
+    Names of runs without a recording have the mark ``*`` if at least one row has a recording.
+    """
     mark = f" {_UNRECORDED}" if any(row[RECORDING] for row in rows) else ""
     return [Path(row[RECORDING]).stem if row[RECORDING] else f"{row['name']}{mark}" for row in rows]
 
 
 def _is_repeated(row: Row, before: Sequence[Row], after: Sequence[Row]) -> bool:
-    """Return True if a row has no recording, and a recorded or a later one is the same run."""
+    """Return True if a row is redundant, because another row is the same run.
+
+    Only a row without a recording can be redundant.  The other row must be after it, or be before
+    it and have a recording.
+    """
     others = [*(other for other in before if other[RECORDING]), *after]
     return row[RECORDING] is None and any(_are_equal(row, other) for other in others)
 
 
 def _are_equal(row: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Return True if two rows are the same run: equal scenes, and equal results to the last bit.
+    """Return True if two rows are the same run: equal scenes, and bit-identical results.
 
-    A key that only one of them has, of another version, does not count, nor do the error estimate
-    of a run, which a recording has by its samples, and how its loads were found.  The first tables
-    do not contain the scene.
+    Keys without a value in one of the rows are not compared, because it may be of another version.
+    For the same reason, scenes are compared only if both rows contain the hash of the scene.  The
+    energy residual and the source of the loads are not compared either, because they differ
+    between a simulated run and its recording.
     """
     scenes = {one["made_by"].get("scene_sha256") for one in (row, other)} - {None}
     common = {
@@ -229,14 +260,17 @@ def _are_equal(row: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 
 def _plain(row: Row) -> Row:
-    """Return a row as it is read from its file again."""
+    """Return a row in the form in which it is read from JSON, e.g. with lists for tuples."""
     plain: Row = json.loads(json.dumps(row, allow_nan=False, default=list))
     return plain
 
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Wait until no other command updates the tables of a folder, which is made."""
+    """Lock a folder during the block, so that only one command at a time updates its tables.
+
+    The folder is created if it is missing.  The call waits while another command has the lock.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(folder, os.O_RDONLY)
     try:

@@ -1,4 +1,4 @@
-"""``capture-sim run``."""
+"""``capture-sim run``: run scenes without ROS; record, tabulate and draw the results."""
 
 from __future__ import annotations
 

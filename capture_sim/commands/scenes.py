@@ -1,4 +1,4 @@
-"""``capture-sim scenes``."""
+"""``capture-sim scenes``: list the scenes of the package, or print a template of a scene."""
 
 from __future__ import annotations
 

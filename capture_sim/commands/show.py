@@ -1,4 +1,4 @@
-"""``capture-sim show``."""
+"""``capture-sim show``: print a scene with all its values as YAML."""
 
 from __future__ import annotations
 

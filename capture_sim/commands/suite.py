@@ -1,7 +1,7 @@
-"""Nodes in processes of their own: started, supervised and ended together.
+"""Start, supervision and end of the ROS 2 nodes, each of which is a process of its own.
 
-One set of processes serves all experiments: starting four of them costs seconds of computing, a run
-of the bench less than one.
+The same processes run all experiments, because the start of four nodes takes seconds of computing
+time and a run of the bench less than one second.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from capture_sim.errors import CaptureSimError, MissingPackageError, explain_imp
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, PLAYER, RECORDER, SIMULATOR
 from capture_sim.scene.parts import Scene
 
-#: After one node has died the others get this long to notice and to close their files, and after a
-#: SIGINT a node to end before it is killed, s.
+#: Time that the other nodes get to close their files after one node has ended, and that a node
+#: gets to end after a SIGINT before it is killed, s.
 GRACE = 15.0
-#: What ends a command from outside.
+#: Signals that end a command.
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -42,7 +42,7 @@ def check_ros() -> None:
 
 
 class SuiteResult(NamedTuple):
-    """The result of a suite of experiments."""
+    """The result of :func:`run_suite`: the exit status, and the files of the recordings."""
 
     status: int  # 0 all runs are complete; 1 a node failed or died; 2 it rejected its parameters
     recordings: list[Path]  # in the order of the runs
@@ -58,10 +58,11 @@ def run_suite(
 ) -> SuiteResult:
     """Run experiments one after another with the nodes, in the caller's ROS_DOMAIN_ID.
 
-    ``out``: folder of the recordings, ``<name>.mcap`` each, and of the nodes' logs; ``rtf``:
-    simulated seconds per second, 0 without pacing; ``namespace``: of all nodes and topics, e.g.
-    beside another suite in the domain.  KeyboardInterrupt after Ctrl-C (or SIGTERM), when all nodes
-    have ended.
+    ``out`` is the folder of the recordings, ``<name>.mcap``, and of the logs of the nodes.  ``rtf``
+    is the simulated time over the real time; 0 runs without pacing.  ``namespace`` is the ROS
+    namespace of all nodes and topics, which separates two suites in one domain.
+
+    KeyboardInterrupt is raised after Ctrl-C, SIGTERM or SIGHUP, when all nodes have ended.
     """
     consumers = [LAUNCHER, CAPTURE_DETECTOR, *([RECORDER] if record else [])]
     with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder:
@@ -79,11 +80,15 @@ def run_suite(
 
 
 def replay(parameters: Mapping[str, Any], out: Path) -> int:
-    """Play a recording with the player; return the exit status, see :attr:`SuiteResult.status`.
+    """Play a recording with the player node; return the exit status, see :class:`SuiteResult`.
 
-    The nodes named in the player's parameter ``wait_for`` are started beside it and end with it;
-    ``out``: folder of the recorder's files.  CaptureSimError if a node has rejected its parameters;
-    KeyboardInterrupt after Ctrl-C, when all nodes have ended in order.
+    ``parameters`` are the parameters of the player.  The nodes that its parameter ``wait_for``
+    names are started too, and are ended when the player ends.  ``out`` is the folder of the
+    recorder's files.
+
+    Raises MissingPackageError without ROS 2, and CaptureSimError if a node has rejected its
+    parameters.  After Ctrl-C, SIGTERM or SIGHUP it raises KeyboardInterrupt when all nodes have
+    ended.
     """
     check_ros()
     nodes: dict[str, dict[str, Any]] = {PLAYER: dict(parameters)}
@@ -103,7 +108,13 @@ def _run_nodes(
     namespace: str = "",
     log: Path | None = None,
 ) -> tuple[int, _Processes]:
-    """Run nodes to their end; return the status (see :func:`run_suite`) and their output."""
+    """Run nodes until they end; return the exit status and the processes.
+
+    The status is that of :class:`SuiteResult`.  The processes have the paths of the recordings and
+    the reasons of nodes that rejected their parameters.  ``parameters`` are by the name of the
+    node.  ``announcer`` is the node with whose end the other nodes are ended, the simulator or the
+    player.  ``folder`` gets the file of parameters, and ``log`` is the folder above the logs.
+    """
     file = folder / "parameters.yaml"
     content = {}
     for name, values in parameters.items():
@@ -135,7 +146,7 @@ def _print(text: str, who: str = "suite") -> None:
 
 
 class _Processes:
-    """The nodes' processes; leaving the context ends the remaining ones."""
+    """Context manager that starts the processes of the nodes, and at its exit ends those left."""
 
     def __init__(
         self, names: Sequence[str], arguments: Sequence[str], environment: Mapping[str, str]
@@ -165,11 +176,12 @@ class _Processes:
         self._end()
 
     def supervise(self, announcer: str, stop: threading.Event) -> int:
-        """Wait until all have ended; return the exit status.
+        """Wait until all nodes have ended; return the exit status, see :class:`SuiteResult`.
 
-        The others are asked to end when the announcer has ended.  When another node dies they get
-        some time to notice, to report it and to close their files.  KeyboardInterrupt if ``stop``
-        was set.
+        When the announcer (simulator or player) has ended, the other nodes get a SIGINT.  After
+        the announcer's end or the failure of a node, the others have :data:`GRACE` s to end; then
+        the function returns a failure.  If a node has rejected its parameters, it returns at once.
+        KeyboardInterrupt is raised if ``stop`` is set.
         """
         began, deadline, status = time.monotonic(), math.inf, OK
         while self._running:
@@ -215,7 +227,7 @@ class _Processes:
         self._readers.append(reader)
 
     def _end(self) -> None:
-        """End the remaining processes by SIGINT, and by SIGKILL if one does not react."""
+        """Send SIGINT to the remaining processes, and kill those that do not end in time."""
         self._interrupt()
         deadline = time.monotonic() + GRACE
         for name, process in self._running.items():

@@ -1,4 +1,4 @@
-"""``capture-sim sweep``."""
+"""``capture-sim sweep``: run a scene over values, distributions or the rows of a table."""
 
 from __future__ import annotations
 
@@ -91,8 +91,8 @@ EXAMPLE = """\
     --vary approach.offset='-50 mm:50 mm:11' --out runs/map.parquet"""
 #: Number of runs below which the percentiles are printed with their intervals.
 _INTERVALS_BELOW = 500
-_WORST = 3  # runs whose commands are printed; those of all runs are in the table
-_FAILURES = 3  # kinds of them that are printed
+_WORST = 3  # number of runs whose commands are printed; the table has the commands of all runs
+_FAILURES = 3  # maximum number of kinds of failures that are printed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -179,7 +179,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _journal(scene: Scene, samples: Samples, options: argparse.Namespace) -> Journal:
-    """Return the journal of the finished rows, including those of an interrupted sweep."""
+    """Open the journal, the file to which finished runs are written, and return it.
+
+    With ``--resume``, the journal also has the runs of the interrupted sweep.
+    """
     names = [axis.name for axis in samples.axes]
     rows = hashlib.sha256(repr([names, samples.rows, samples.designs]).encode()).hexdigest()
     head = {"study": "sweep", "software": list(software_versions()), "scene": scene.to_yaml()}
@@ -201,7 +204,10 @@ def _sweep(
     options: argparse.Namespace,
     journal: Journal,
 ) -> int:
-    """Run the samples, write and report their table; return the exit status."""
+    """Run the samples, write the table of results and plots, and print statistics.
+
+    The exit status is returned.
+    """
     compile_first()
     with (
         terminated_as_interrupted(),
@@ -285,7 +291,10 @@ def _samples(scene: Scene, options: argparse.Namespace) -> Samples:
 
 
 def _commands(scene: Scene, samples: Samples, options: argparse.Namespace) -> list[str]:
-    """Return the command that repeats each run."""
+    """Return, for each sample, the command line that repeats its run.
+
+    It is '' for a sample whose values make no valid scene.
+    """
     recipe = Recipe(scene, tuple(axis.name for axis in samples.axes))
     given = {item.partition("=")[0].strip() for item in options.overrides}
     always = [*options.overrides]
@@ -306,7 +315,10 @@ def _commands(scene: Scene, samples: Samples, options: argparse.Namespace) -> li
 def _indices(
     samples: Samples, table: pandas.DataFrame, options: argparse.Namespace
 ) -> list[Indices]:
-    """Return the Sobol indices of the main loads, if the runs are a Saltelli design."""
+    """Return the Sobol indices of each main load; empty unless ``--sample`` is saltelli.
+
+    Loads whose indices cannot be computed, because they do not vary, are left out.
+    """
     if options.sample != "saltelli":
         return []
     drawn = sorted(axis.name for axis in samples.axes if axis.distribution)
@@ -359,7 +371,10 @@ def _report(
 
 
 def _print_failures(table: pandas.DataFrame) -> None:
-    """Print why runs could not be computed: one run of each kind, the most frequent kinds first."""
+    """Print the reasons why runs could not be computed, the most frequent first.
+
+    Reasons that differ only in numbers are one kind; a line has the count and an example of it.
+    """
     reasons = table.loc[table["verdict"] == FAILED, "failure"]
     without_numbers = reasons.str.replace(r"[-+.\d]+(e[-+]?\d+)?", "", regex=True)
     kinds = sorted(reasons.groupby(without_numbers), key=lambda kind: -len(kind[1]))
@@ -417,7 +432,10 @@ def _probability_text(condition: str, found: Probability) -> str:
 def _print_ranges(
     samples: Samples, ranges: Mapping[tuple[Any, ...], CaptureRange], limits: Sequence[Limit]
 ) -> None:
-    """Print the capture range at each combination of the values of the other axes."""
+    """Print the capture ranges: the shares of an area of approaches that end in a capture.
+
+    There is one capture range for each combination of values of the axes that do not span the area.
+    """
     if not ranges:
         return
     area = area_of_map([axis for axis in samples.axes if len(axis.values) != 1])
@@ -435,7 +453,11 @@ def _print_ranges(
 
 
 def _print_limits(table: pandas.DataFrame, limits: Sequence[Limit], *, is_grid: bool) -> None:
-    """Print how often each limit is met, and its margin in the worst 5 and 1 % of runs."""
+    """Print a table of the limits: in how many runs each is met, and its margins.
+
+    A margin is the share of the limit that is left.  It is printed for the worst run and, unless
+    the sweep is a grid, at the load that 5 % and 1 % of the runs exceed.
+    """
     cells = []
     for limit in limits:
         found = limit_probability(table, [limit])
@@ -454,7 +476,11 @@ def _print_limits(table: pandas.DataFrame, limits: Sequence[Limit], *, is_grid: 
 
 
 def _print_loads(rows: pandas.DataFrame, *, is_grid: bool) -> None:
-    """Print percentiles of the loads; of a grid, whose runs are no draws, their range."""
+    """Print a table of the percentiles of each load.
+
+    The runs of a grid are not random draws.  Therefore a grid has the smallest value, the median
+    and the largest value instead.
+    """
     echo(f"\nloads of {len(rows)} runs, whole run and before the latch")
     cells = []
     for row_load in LOADS:
@@ -482,7 +508,7 @@ def _quantile_text(found: Quantile, runs: int) -> str:
 
 
 def _print_effects(table: pandas.DataFrame, inputs: Sequence[str]) -> None:
-    """Print by how much the loads change over each axis of a grid."""
+    """Print the effect of each input of a grid: the range of the mean loads over its values."""
     if not inputs:
         return
     effects = main_effects(table, inputs)
@@ -498,7 +524,7 @@ def _print_effects(table: pandas.DataFrame, inputs: Sequence[str]) -> None:
 
 
 def _print_correlations(table: pandas.DataFrame, names: Sequence[str]) -> None:
-    """Print the rank correlations of the inputs that are drawn."""
+    """Print the rank correlations of the inputs ``names`` with the main loads and with capture."""
     inputs = [name for name in names if table[name].nunique() > 1]
     numbers = [name for name in inputs if table[name].dtype.kind in "if"]
     if not numbers or len(plain_rows(computed_rows(table))) < 3:
@@ -526,7 +552,10 @@ def _print_indices(indices: Sequence[Indices], inputs: Sequence[str]) -> None:
 
 
 def _print_worst(table: pandas.DataFrame, options: argparse.Namespace) -> None:
-    """Print the worst runs with their commands; without a touch, the closest approaches."""
+    """Print the runs with the largest load ``--worst``, with the commands that repeat them.
+
+    If no run touches the cone, the runs with the closest approach are printed instead.
+    """
     load = next(each for each in LOADS if each.key == options.worst)
     computed = computed_rows(table)
     if not computed["touches"].any():

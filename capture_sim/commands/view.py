@@ -1,4 +1,4 @@
-"""``capture-sim view``."""
+"""``capture-sim view``: draw runs as plots and as a file for the rerun viewer."""
 
 from __future__ import annotations
 
