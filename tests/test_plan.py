@@ -60,10 +60,10 @@ def test_the_places_that_the_plan_names_exist():
 @pytest.mark.parametrize(
     "change",
     [
-        *("a term in the buffer", "a criterion of capture", "a topic", "column of results"),
+        *("a term in the buffer", "a criterion of capture", "a topic", "number in `results.json`"),
         *("a plot", "a sensor", "a limit of the loop", "a command", "an interlock"),
         *("a message's field", "when a launch may begin", "message type of a measured source"),
-        *("string goes slack", "how long a step is", "quality of service", "output or a parameter"),
+        *("string goes slack", "how long a step is", "quality of service", "an output of the FMU"),
         "objective of a design",
     ],
 )

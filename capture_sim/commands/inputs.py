@@ -202,14 +202,15 @@ def add_runs(parser: argparse.ArgumentParser) -> None:
 
 
 def add_geometry(parser: argparse.ArgumentParser) -> None:
-    """Add ``--scene``, for a recording that contains no scene, and ``--waive``.
+    """Add ``--scene``, for recordings of a real bench, and ``--waive``.
 
     ``--waive`` names a plausibility rule that is not checked.
     """
     parser.add_argument(
         "--scene",
         metavar="SCENE",
-        help="take the geometry from this scene (name or YAML file) if the recording contains none",
+        help="take the geometry of a real bench from this scene (name or YAML file), e.g. if the "
+        "recording contains none",
     )
     parser.add_argument(
         "--waive",
