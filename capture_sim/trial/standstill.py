@@ -77,7 +77,8 @@ class HeldWatch:
     """Checks that a chaser stops once it is held again after a release.
 
     ``timeout``: time in which the chaser must stop, s.  Otherwise :attr:`alarm` reports the motion
-    until the chaser is at rest at its start.
+    until the chaser is at rest at its start.  If too few poses arrive to tell at that time, the
+    check is made as soon as there are enough.
     """
 
     def __init__(self, timeout: float) -> None:
@@ -106,13 +107,13 @@ class HeldWatch:
             return
         if stands and now > self._held + MIN_SPAN:
             self._held = math.nan
-        elif now > self._held + self._timeout:
+        elif now > self._held + self._timeout and (motion := standstill.motion(now)):
+            # with too few poses to tell, as in a dropout, the check goes on
             self._held = math.nan
-            if motion := standstill.motion(now):
-                self.alarm = (
-                    f"the chaser {motion}, {self._timeout:g} s after launcher/hold was set: its "
-                    "driver does not hold it; nothing is let go before it stands at its start"
-                )
+            self.alarm = (
+                f"the chaser {motion}, {self._timeout:g} s after launcher/hold was set: its "
+                "driver does not hold it; nothing is let go before it stands at its start"
+            )
 
 
 def median_pose(poses: Collection[Pose]) -> Pose:

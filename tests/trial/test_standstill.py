@@ -47,13 +47,17 @@ def test_wild_poses_are_no_motion_and_no_poses_are_no_standstill():
     assert watch.motion(now + 1.0) == ""
 
 
-def followed(position, duration, *, timeout=3.0):
-    """Hold a chaser at t = 0 whose position, m, is a function of time; return alarms by time."""
+def followed(position, duration, *, timeout=3.0, hole=(0.0, 0.0)):
+    """Hold a chaser at t = 0 whose position, m, is a function of time; return alarms by time.
+
+    No poses arrive between the ends of the ``hole``, s.
+    """
     watch, held, alarms = Standstill(), HeldWatch(timeout), []
     held.let_go((0.0, 0.0, 0.0))
     for k in range(-100, round(duration * RATE)):
         t = k / RATE
-        watch.add((position(t), 0.0, 0.0), t)
+        if not hole[0] < t < hole[1]:
+            watch.add((position(t), 0.0, 0.0), t)
         if k == 0:
             held.hold(t)
         held.update(watch, t)
@@ -102,3 +106,10 @@ def test_one_that_is_pushed_stands_for_three_more_poses_at_most(rate, speed):
             if watch.stands(t):
                 stood.append(t)
         assert max(stood) < pushed + 3.0 / rate + MAX_DRIFT / speed
+
+
+@pytest.mark.parametrize("hole", [(2.5, 3.2), (0.0, 6.0)])
+def test_a_dropout_of_poses_at_the_timeout_delays_the_alarm(hole):
+    alarms = followed(lambda t: 0.1 * t, 8.0, hole=hole)
+    begin = min(t for t, text in alarms if text)
+    assert hole[1] < begin < hole[1] + WINDOW + 0.1
