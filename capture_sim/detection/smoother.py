@@ -30,6 +30,8 @@ OUTLIER = 5.0
 _MIN_SIZE = 8
 #: Largest difference, in standard deviations, of the positions fitted with a window and half of it.
 _AGREEMENT = 1.5
+#: Smallest number of measurements between two gaps from which a position is fitted.
+_MIN_BETWEEN_GAPS = 3
 #: Smallest interval between fitted positions, s; closer positions share nearly all measurements.
 MIN_FIT_INTERVAL = 0.003
 
@@ -92,6 +94,7 @@ class TipPath:
     ``delay`` (s) is the longest wait after an instant for later measurements.  If the noise is
     below ``clean`` (m), the measurements are used directly.  An interval without measurements that
     is longer than ``gap`` (s) and than three usual intervals counts as a gap, see :attr:`gap`.
+    No fit includes measurements from both sides of a gap, because a hit there would bend the path.
     Measurements stay in memory for at least ``keep`` (s), for :meth:`fit` and :meth:`rate_over`.
     """
 
@@ -108,6 +111,7 @@ class TipPath:
         self._half_window = 0.0
         self._interval = 0.0
         self._count = 0
+        self._gap_ends: list[float] = []  # s, times of the first measurements after a gap
         self._t_returned = -math.inf  # s, time of the last place that was returned
         self._n_forgotten = 0  # number of measurements removed from the memory
 
@@ -148,6 +152,8 @@ class TipPath:
         self._t.append(t)
         self._tips.append(tip)
         self._learn()
+        if len(self._t) > 1 and t - self._t[-2] > self.gap:
+            self._gap_ends.append(t)
         self._forget()
         if self._half_window == 0.0 and len(self._t) > 1 and self._t_returned == self._t[-2]:
             self._t_returned = t  # this is the usual case, which needs no search
@@ -161,9 +167,10 @@ class TipPath:
     def fit(self, t: float, begin: float, end: float, degree: int) -> Place:
         """Return the place at ``t``, s, from a polynomial fitted to [``begin``, ``end``], s.
 
-        Outliers are left out of the fit, one by one, up to about a fifth of the measurements.
+        ``t`` is the time of a measurement.  The interval is cut off at gaps.  Outliers are left out
+        of the fit, one by one, up to about a fifth of the measurements.
         """
-        i, k = bisect_left(self._t, begin), bisect_right(self._t, end)
+        i, k = self._between_gaps(t, begin, end)
         times = np.array(self._t[i:k]) - t
         tips = np.array([tip.place for tip in self._tips[i:k]])
         spread = max(float(np.abs(times).max()), 1e-9)
@@ -219,9 +226,21 @@ class TipPath:
             found.append(Half(float(axial), float(lateral), *variances.tolist()))
         return found[0], found[1]
 
+    def _between_gaps(self, t: float, begin: float, end: float) -> tuple[int, int]:
+        """Return the numbers of the measurements in an interval that no gap separates from ``t``.
+
+        The first number is included, the second is not; ``begin`` and ``end`` in s.
+        """
+        i, k = bisect_left(self._t, begin), bisect_right(self._t, end)
+        for gap_end in self._gap_ends:
+            if begin < gap_end <= t:
+                i = bisect_left(self._t, gap_end)
+            elif t < gap_end <= end:
+                return i, min(k, bisect_left(self._t, gap_end))
+        return i, k
+
     def _window(self, t: float, half_window: float) -> _Window:
-        i = bisect_left(self._t, t - half_window)
-        k = bisect_right(self._t, t + half_window)
+        i, k = self._between_gaps(t, t - half_window, t + half_window)
         tips = np.array([tip.place for tip in self._tips[i:k]])
         return _Window.of(i, np.array(self._t[i:k]) - t, tips)
 
@@ -268,6 +287,8 @@ class TipPath:
         while self._t[0] < self._t[-1] - self._keep:
             del self._t[0], self._tips[0]
             self._n_forgotten += 1
+        while self._gap_ends and self._gap_ends[0] < self._t[0]:
+            del self._gap_ends[0]
 
     def _completed(self, newest: float, wait: float) -> list[Place]:
         """Return the new places up to ``wait``, s, before ``newest``, s, the latest measurement."""
@@ -277,10 +298,19 @@ class TipPath:
         interval = MIN_FIT_INTERVAL - 1e-9 if self._half_window > 0.0 else 0.0
         places = []
         for i in range(first, last):
-            if self._t[i] - self._t_returned >= interval:
+            if self._t[i] - self._t_returned >= interval and not self._is_isolated(i):
                 places.append(self._at(i))
                 self._t_returned = self._t[i]
         return places
+
+    def _is_isolated(self, i: int) -> bool:
+        """Return True if number ``i`` has too few neighbours between two gaps for a fit."""
+        if self._half_window == 0.0 or not self._gap_ends:
+            return False
+        t = self._t[i]
+        first, last = self._between_gaps(t, -math.inf, math.inf)
+        is_after_gap = first > 0
+        return is_after_gap and last < len(self._t) and last - first < _MIN_BETWEEN_GAPS
 
     def _at(self, i: int) -> Place:
         t = self._t[i]

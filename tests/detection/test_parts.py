@@ -59,6 +59,44 @@ def test_the_path_errs_by_what_it_says():
     assert smoothed.half_window == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize("length", [0.12, 0.3])
+def test_a_hit_in_a_gap_bends_no_place_beside_it(length):
+    """The path turns round at 1 s, unseen; the fits before and after do not know of each other."""
+    rng = np.random.default_rng(6)
+    errors = []
+    for _ in range(40):
+        smoothed, places = path(), []
+        for k in range(200):
+            t = k / 100
+            if abs(t - 1.0) > 0.5 * length:
+                seen = np.array([0.1 * abs(t - 1.0), 0.0]) + 1e-3 * rng.standard_normal(2)
+                places += smoothed.add(t, seen_at(*seen))
+        places += smoothed.finish()
+        near = [p for p in places if 0.7 < p.t < 1.3]
+        assert len(near) == sum(
+            0.7 < k / 100 < 1.3 and abs(k / 100 - 1) > length / 2 for k in range(200)
+        )
+        for p in near:
+            errors.append((p.axial - 0.1 * abs(p.t - 1.0)) / math.sqrt(p.axial_variance))
+    assert np.mean(errors) == pytest.approx(0.0, abs=0.25)
+    assert np.std(errors) == pytest.approx(1.0, rel=0.3)
+
+
+def test_measurements_alone_between_two_gaps_give_no_place():
+    """Two of them with noise tell nothing of a speed; without noise each is a place."""
+    rng = np.random.default_rng(7)
+    for noise in (1e-3, 0.0):
+        smoothed, places = path(), []
+        for k in range(300):
+            if not 150 <= k < 185 or k in (165, 166):
+                seen = np.array([0.1, 0.0]) + noise * rng.standard_normal(2)
+                places += smoothed.add(k / 100, seen_at(*seen))
+        places += smoothed.finish()
+        alone = [p for p in places if 1.5 < p.t < 1.8]
+        assert len(alone) == (0 if noise else 2)
+        assert {1.49, 1.85} <= {p.t for p in places}
+
+
 def test_many_measurements_are_used_without_a_place_for_each():
     rng = np.random.default_rng(5)
     smoothed, places = path(), []
