@@ -62,7 +62,8 @@ class Journal:
             lines = _whole_lines(self._file)
             self._is_complete = resume and lines[-1:] == [_COMPLETE]
             if resume and lines:
-                if differing := [key for key in head if lines[0].get(key) != head[key]]:
+                keys = {**head, **lines[0]}  # what only one of them names differs too
+                if differing := [key for key in keys if lines[0].get(key) != head.get(key)]:
                     raise JournalError(
                         f"--resume: {path}: is of another study: {', '.join(differing)} must be "
                         "the same"

@@ -79,6 +79,18 @@ def test_another_study_is_refused_and_a_new_one_keeps_the_unfinished(tmp_path):
         assert journal.replaced is None  # it was complete
 
 
+def test_what_only_one_of_two_studies_names_differs_too(tmp_path):
+    """A design under dispersions, continued without them, would take their runs for its own."""
+    path = tmp_path / "a.journal"
+    for first, second in (({**HEAD, "under": "x"}, HEAD), (HEAD, {**HEAD, "under": "x"})):
+        with Journal(path, first) as journal:
+            journal.add(1)
+        with pytest.raises(JournalError, match="is of another study: under must be the same"):
+            Journal(path, second, resume=True)
+        with Journal(path, first, resume=True) as journal:
+            assert journal.entries == [1]
+
+
 def test_a_full_disk_is_an_error_of_one_line_and_what_was_written_stays(tmp_path, monkeypatch):
     path = tmp_path / "a.journal"
     with Journal(path, HEAD) as journal:
