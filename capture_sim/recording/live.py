@@ -202,12 +202,14 @@ class _WriteQueue:
     def put(self, *message: *_Waiting) -> None:
         """Append a message; wait while the queue is full and the disk writes."""
         with self._lock:
-            if self._is_full:
-                self._lock.wait_for(
-                    lambda: not self._is_full or self._error is not None, STALL_LIMIT
-                )
-            if self._is_full and self._error is None:
-                self._error = _stall_error()
+            began = time.monotonic()
+            while self._is_full and self._error is None:
+                # a slow disk may need longer than the limit for one batch, and writes all the while
+                left = STALL_LIMIT - (time.monotonic() - max(began, self._last_written))
+                if left <= 0.0:
+                    self._error = _stall_error()
+                else:
+                    self._lock.wait(left)
             self._check()
             self._waiting.append(message)
             self._bytes += len(message[1]) + MESSAGE_COST

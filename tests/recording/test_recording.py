@@ -531,6 +531,24 @@ def test_a_slow_disk_is_waited_for_as_long_as_it_writes(sent, tmp_path, monkeypa
     assert sum(read_bag(report.path).topics.values()) == 100 + len(counts)
 
 
+def test_a_full_queue_waits_for_a_slow_disk_as_long_as_it_writes(sent, tmp_path, monkeypatch):
+    """One batch, as large as the queue, takes longer than a disk may stall."""
+    monkeypatch.setattr(live_module, "STALL_LIMIT", 1.5)  # s, longer than a busy machine pauses
+    write = RunWriter.write
+
+    def write_slowly(writer, *message):
+        time.sleep(0.02)
+        write(writer, *message)
+
+    monkeypatch.setattr(RunWriter, "write", write_slowly)
+    batch = sum(len(data) + live_module.MESSAGE_COST for _, data in sent[1:121])
+    counts = [message for message in sent if message[0] is STREAM_COUNTS]
+    began = time.monotonic()
+    recorder = record(tmp_path, [*sent[:300], *counts], queue_bytes=batch)
+    assert time.monotonic() - began > 1.5
+    assert sum(read_bag(recorder.close().path).topics.values()) == 300 + len(counts)
+
+
 def test_killed_recorder_leaves_all_but_the_last_half_second(sent, tmp_path, monkeypatch):
     monkeypatch.setattr(live_module, "FLUSH_PERIOD", 0.05)
     recorder = record(tmp_path, sent[:5000])
