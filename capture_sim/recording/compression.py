@@ -43,12 +43,12 @@ def unpacked(data: bytes, limit: int, size: int | None = None) -> bytes:
 
     ValueError if there are more, or the bytes are damaged.
     """
-    if size is None:
-        known = zstandard.frame_content_size(data) if data.startswith(_ZSTD) else -1
-        size = known if known >= 0 else None
-    if size is not None and size > limit:
-        raise ValueError(TOO_LARGE)
     try:
+        if size is None and data.startswith(_ZSTD):
+            known = zstandard.frame_content_size(data)  # -1: it does not say
+            size = known if known >= 0 else None
+        if size is not None and size > limit:
+            raise ValueError(TOO_LARGE)
         if size is not None and data.startswith(_ZSTD):
             with zstandard.ZstdDecompressor().stream_reader(data) as stream:
                 found = stream.read(size + 1)

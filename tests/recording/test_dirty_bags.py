@@ -179,9 +179,11 @@ def test_file_of_another_kind_is_named_with_what_converts_it(data, line, tmp_pat
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
-def test_compressed_message_that_is_damaged_is_left_out_and_counted(clean, tmp_path):
+@pytest.mark.parametrize("rest", [None, b"", b"\x20"], ids=["content", "no head", "half a head"])
+def test_compressed_message_that_is_damaged_is_left_out_and_counted(rest, clean, tmp_path):
     records = list(dirty.clean())
-    records[5] = records[5]._replace(data=b"\x28\xb5\x2f\xfd" + records[5].data)
+    rest = records[5].data if rest is None else rest
+    records[5] = records[5]._replace(data=b"\x28\xb5\x2f\xfd" + rest)
     bag = read_bag(dirty.write_mcap(tmp_path / "x.mcap", records))
     assert sum(bag.topics.values()) == len(records) - 1
     (line,) = bag.left_out
