@@ -99,8 +99,9 @@ def read_cases(path: Path) -> pandas.DataFrame:
         if ";" in name:
             raise RecordingError(f"{path}: columns must be separated by commas")
         # a blank has no unit, nor has a number of a column "friction.mu [1]"
+        cells = ["" if _is_missing(cell) else cell for cell in values]
         columns[name] = [
-            _number(cell) if unit == "1" or cell == "" else f"{cell} {unit}" for cell in values
+            _number(cell) if unit == "1" or cell == "" else f"{cell} {unit}" for cell in cells
         ]
     return pandas.DataFrame(columns)
 
@@ -109,8 +110,13 @@ def _number(cell: Any) -> Any:
     """Return the number in a cell; the cell itself if it is another text."""
     try:
         return float(cell)
-    except ValueError:
+    except (ValueError, TypeError):
         return cell
+
+
+def _is_missing(cell: Any) -> bool:
+    """Return True for a cell of a Parquet file without a value, for which pandas has several."""
+    return not isinstance(cell, str) and str(cell) in ("None", "nan", "<NA>", "NaT")
 
 
 def _pandas() -> Any:

@@ -761,6 +761,18 @@ def test_a_table_that_is_no_cases_is_rejected(text, message, tmp_path):
         read_cases(path)
 
 
+def test_a_cell_without_a_value_in_parquet_is_a_blank(tmp_path):
+    """As in a CSV file: its row has no value there, and says so."""
+    path = tmp_path / "cases.parquet"
+    table = pd.DataFrame({"friction.law": ["coulomb", None], "buffer.c_A [N s/m]": ["5", None]})
+    table.to_parquet(path)
+    cases = read_cases(path)
+    assert cases["friction.law"].tolist() == ["coulomb", ""]
+    assert cases["buffer.c_A"].tolist() == ["5 N s/m", ""]
+    table = capture_sim.sweep("tilt_0", cases, executor=HERE)
+    assert table["failure"].tolist() == ["", "row 1: friction.law: has no value"]
+
+
 def test_a_run_that_would_fill_the_memory_is_a_row_with_its_reason():
     table = capture_sim.sweep("tilt_0", {"run.t_end": [1e6, 0.5]}, executor=HERE)
     assert table["verdict"].tolist() == ["failed", "undecided"]
