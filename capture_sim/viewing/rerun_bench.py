@@ -42,6 +42,7 @@ class BenchLog:
     def __init__(self, stream: RunStream, scene: Scene, colour: str) -> None:
         self._stream, self._scene, self._colour = stream, scene, style.rgb(colour)
         self._map = f"{stream.name}/close_up"
+        self._highest = 0.0  # place of the hanging mass so far, m
         #: How far the collar that the spring pushes sits behind the tip's centre, m.
         self._collar = scene.probe.tip_radius + 0.5 * scene.probe.length
         target, chaser = scene.initial.target, scene.initial.chaser
@@ -220,7 +221,9 @@ class BenchLog:
             [[0, 0, r], [0, 0, r], [r, 0, 0], [r, 0, -0.05]]
         )
         strips[:, 0, 0] = drawn["q"][:, 0]
-        strips[:, 3, 2] += drawn["mass_height"] - drawn["mass_height"].max(initial=0.0)
+        # below its highest place so far: a live view gets the samples in pieces
+        self._highest = max(self._highest, float(drawn["mass_height"].max()))
+        strips[:, 3, 2] += drawn["mass_height"] - self._highest
         entity = f"{self._stream.name}/world/string"
         self._stream.columns(entity, drawn["t"], rr.LineStrips3D, strips=list(strips))
         self._move("hanging_mass", drawn["t"], translation=strips[:, 3])

@@ -12,6 +12,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from capture_sim.dynamics.samples import Phase
@@ -84,6 +85,24 @@ def test_a_viewer_that_connects_late_has_the_run_so_far(live, run, tmp_path):
         assert any("shown from the beginning" in note and "newest 16 MB" in note for note in notes)
 
     seen(live.address, tmp_path / "late.rrd", check)
+
+
+def test_the_hanging_mass_descends_in_a_view_that_gets_its_samples_in_pieces(live, run, tmp_path):
+    every = run.samples[::20]
+    live.begin("trial", run.scene)
+    for piece in np.array_split(every, 12):
+        for i in range(len(piece)):
+            live.take(piece[i : i + 1])
+        live.show()
+    live.end()
+
+    def check(found):
+        t, place = column(found, "/trial/world/hanging_mass", "translation")
+        fallen = np.interp(t * 1e-9, every["t"], every["mass_height"][0] - every["mass_height"])
+        assert fallen.max() > 0.05
+        assert place[0, 2] - place[:, 2] == pytest.approx(fallen, abs=2e-3)
+
+    seen(live.address, tmp_path / "mass.rrd", check)
 
 
 def test_phases_that_no_sensor_measures_come_from_the_events_of_a_run_joined_late(
