@@ -384,10 +384,12 @@ def energy_layers(
     and energy (n,), mJ, of each layer that is large enough to be seen.
     """
     samples = samples[:: max(len(samples) // _POINTS, 1)]
-    put_in = (samples["kinetic"][0] + samples["work_string"] + samples["work_thrust"]) * 1e3
+    values = [np.sum([samples[field] for field in fields], axis=0) * 1e3 for *_, fields in LAYERS]
+    work = (samples["work_string"] + samples["work_thrust"]) * 1e3
+    # the samples may begin within the run: what the first one has was put in before
+    put_in = sum(layer[0] for layer in values) + work - work[0]
     layers = []
-    for name, colour, fields in LAYERS:
-        layer = np.sum([samples[field] for field in fields], axis=0) * 1e3
+    for (name, colour, _), layer in zip(LAYERS, values, strict=True):
         if layer.max(initial=0.0) > _VISIBLE * put_in.max():
             layers.append((name, colour, layer))
     return samples["t"], put_in, layers

@@ -81,7 +81,7 @@ def plot(*runs: Run, labels: Sequence[str] | None = None) -> Figure:
                 "plot(result_1, result_2)"
             )
     if len(runs) == 1:
-        return draw_run(runs[0], None if labels is None else labels[0])
+        return draw_run(runs[0], None if labels is None else plotted_runs(runs, labels)[0].label)
     return sheet(_OVERLAID, runs, labels=labels)
 
 

@@ -14,6 +14,7 @@ from capture_sim.run.run import Run
 from capture_sim.viewing import style
 from capture_sim.viewing.curves import DISTANCE, FORCE, STROKE, TORSION, PlottedRun, Quantity
 from capture_sim.viewing.rerun_stream import RunStream
+from capture_sim.viewing.source import every_touch
 
 
 class Plot(NamedTuple):
@@ -146,7 +147,10 @@ def phases(run: Run, samples: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """
     t, phase = samples["t"], samples["phase"].astype(int)
     phase[phase == Phase.CONTACT] = Phase.FREE
-    starts, ends = np.sort(run.touches["start"]), np.sort(run.touches["end"])
+    touches, last = every_touch(run), run.samples[-1]
+    # a touch in progress at the last sample has not ended there
+    is_ended = (touches["end"] < last["t"]) | (last["walls"] == 0)
+    starts, ends = np.sort(touches["start"]), np.sort(touches["end"][is_ended])
     times = np.unique(np.concatenate([t[np.diff(phase, prepend=-1) != 0], starts, ends]))
     # of the walls together
     touching = np.searchsorted(starts, times, "right") > np.searchsorted(ends, times, "right")

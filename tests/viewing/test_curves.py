@@ -162,6 +162,18 @@ def test_layers_of_energy_are_the_energy_put_in(runs):
         assert total == pytest.approx(put_in, abs=len(LAYERS) * 1e-3 * put_in.max())
 
 
+def test_layers_of_energy_in_a_window_are_the_energy_put_in(runs):
+    """What was put in before the window is counted once."""
+    for run in runs:
+        touch = run.touches["start"][0]
+        inside = run.samples[np.abs(run.samples["t"] - touch) < 0.2]
+        t, put_in, layers = energy_layers(inside)
+        whole_t, whole, _ = energy_layers(run.samples)
+        total = np.sum([layer for *_, layer in layers], axis=0)
+        assert total == pytest.approx(put_in, abs=len(LAYERS) * 1e-3 * put_in.max())
+        assert put_in == pytest.approx(np.interp(t, whole_t, whole), rel=1e-3)
+
+
 # many runs
 
 
@@ -216,6 +228,9 @@ def test_a_run_of_the_loop_is_in_the_legend(undamped):
 
 
 def test_labels_must_fit_the_runs(runs):
+    for labels in ([], ["a", "b"]):
+        with pytest.raises(ValueError, match=f"{len(labels)} labels for 1 runs"):
+            capture_sim.plot(runs[0], labels=labels)
     with pytest.raises(ValueError, match="2 labels for 3 runs"):
         plotted_runs(runs, ["a", "b"])
     with pytest.raises(ValueError, match="no run"):

@@ -134,6 +134,14 @@ def test_phases_begin_at_their_events(runs):
         assert list(dict.fromkeys(names)) == order[names[0] != "held" :]
 
 
+def test_the_lane_of_phases_ends_in_the_touch_that_is_in_progress():
+    touch = capture_sim.simulate("tilt_0").touches[-1]
+    cut = capture_sim.simulate("tilt_0", t_end=0.5 * float(touch["start"] + touch["end"]))
+    times, names = phases(cut, cut.samples)
+    assert names[-1] == "contact"
+    assert times[-1] == pytest.approx(touch["start"], abs=1e-6)
+
+
 def test_rrd_has_verdict_scene_and_events(found, runs):
     for run in runs:
         name = run.scene.name
