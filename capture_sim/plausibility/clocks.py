@@ -366,7 +366,7 @@ def stamps_repeat(motion: MeasuredMotion) -> Iterator[Said]:
     "contact_times",
     Grade.NOTED,
     compares="first contact as seen by buffer and force with the time in which poses allow it",
-    threshold=f"outside by > {_CONTACT_OFFSET} s; or buffer and force apart by more",
+    threshold=f"outside by > {_CONTACT_OFFSET} s; or force later than buffer by more",
     reason="0.05 s of clocks, and 3 mm of the base frames at 0.1 m/s; poses allow a contact from "
     "when the tip is near a wall until it would be inside",
     needs_scene=True,

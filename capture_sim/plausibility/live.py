@@ -18,12 +18,13 @@ class _Kept:
 
     def __init__(self, topic: str) -> None:
         self.topic = topic
-        self.rows: deque[tuple[int, int, tuple[float, ...]]] = deque(maxlen=MAX_KEPT)
-        self.frame_ids: dict[str, None] = {}
+        # stamp, arrival, values, frame_id
+        self.rows: deque[tuple[int, int, tuple[float, ...], str]] = deque(maxlen=MAX_KEPT)
 
-    def add(self, stamp: int, arrival: int, values: tuple[float, ...], frame_id: str) -> None:
-        self.rows.append((stamp, arrival, values))
-        self.frame_ids.setdefault(frame_id)
+    @property
+    def frame_ids(self) -> tuple[str, ...]:
+        """The frame ids of the messages that are kept, each once, the oldest first."""
+        return tuple(dict.fromkeys(row[3] for row in self.rows))
 
 
 class LiveMeasurements:
@@ -86,7 +87,7 @@ class LiveMeasurements:
         kept = self._kept.get(source)
         if kept is None or kept.topic != topic:
             kept = self._kept[source] = _Kept(topic)
-        kept.add(stamp, arrival, values, frame_id)
+        kept.rows.append((stamp, arrival, values, frame_id))
         while kept.rows[0][1] < arrival - self._span:
             kept.rows.popleft()
 
@@ -99,7 +100,7 @@ class LiveMeasurements:
             kept = self._kept.get(name)
             if kept is None or not kept.rows:
                 return None
-            stamps, arrived, values = zip(*kept.rows, strict=True)
+            stamps, arrived, values, _ = zip(*kept.rows, strict=True)
             t, arrival = ((np.array(x, dtype=np.int64) - origin) / 1e9 for x in (stamps, arrived))
             return kept, t, arrival, np.array(values, dtype=float)
 
@@ -107,9 +108,7 @@ class LiveMeasurements:
             if (found := channel(name)) is None:
                 return None
             kept, t, arrival, values = found
-            return Poses(
-                kept.topic, t, arrival, tuple(kept.frame_ids), values[:, :3], values[:, 3:]
-            )
+            return Poses(kept.topic, t, arrival, kept.frame_ids, values[:, :3], values[:, 3:])
 
         buffer = force = None
         if (found := channel("buffer")) is not None:
@@ -117,5 +116,5 @@ class LiveMeasurements:
             buffer = Deflections(kept.topic, t, arrival, (), "", *values.T)
         if (found := channel("force")) is not None:
             kept, t, arrival, values = found
-            force = Forces(kept.topic, t, arrival, tuple(kept.frame_ids), values)
+            force = Forces(kept.topic, t, arrival, kept.frame_ids, values)
         return Measured(poses("chaser"), poses("target"), buffer, force, origin, is_before_release)

@@ -39,7 +39,7 @@ class Rule:
     threshold: str  # with its unit
     reason: str  # of the threshold
     needs_scene: bool
-    needs_poses: bool  # not checked if the poses are refused
+    needs_poses: bool  # skipped once another rule has refused a measurement
     check: Check
 
 

@@ -88,7 +88,7 @@ def _unit_of(motion: MeasuredMotion, expected: float) -> str:
     Grade.REFUSED,
     compares="largest stroke with the probe, and stroke and torsion with the approach's energy",
     threshold="stroke > the probe's length, or either > 8 times what that energy can deflect "
-    "(at least 0.05 m and 0.1 rad), or noise > 2 mm and 20 mrad",
+    "(at least 0.05 m and 0.1 rad), or noise > 2 mm or 20 mrad",
     reason="mm makes a stroke 1000, inch 39, deg a torsion 57 times too large; a push by hand "
     "stays below",
     needs_scene=True,
@@ -152,7 +152,7 @@ def _speed(motion: MeasuredMotion) -> float:
     "beyond_stop",
     Grade.NOTED,
     compares="stroke with the stops and the seat of the scene",
-    threshold="beyond by > 2 mm and 6 standard deviations",
+    threshold="0.2 % of the strokes beyond by > 2 mm",
     reason="stops yield, and an encoder's zero may be off",
     needs_scene=True,
 )

@@ -106,3 +106,15 @@ def test_wild_overtaken_and_late_messages_are_no_step():
     for k, (stamp, arrival) in enumerate(sorted(rows, key=lambda row: row[1])):
         live.add_buffer("joint_states", round(1e9 * stamp), round(1e9 * arrival), 1e-6 * k, 0.0)
     assert "clock_steps" not in {doubt.rule.name for doubt in check(live.measured())}
+
+
+def test_a_frame_that_was_corrected_is_forgotten_with_its_poses():
+    """A driver that starts again under the right frame_id is refused while the old poses stay."""
+    live = LiveMeasurements(2.0)
+    for k in range(400):
+        stamp = round(k * 1e7)
+        frame_id = "map" if k < 100 else "world"
+        live.add_pose("chaser", "chaser/odom", stamp, stamp, (0, 0, 0), (0, 0, 0, 1), frame_id)
+        seen = {doubt.rule.name for doubt in check(live.measured())}
+        if k in (150, 350):
+            assert ("frame_changes" in seen) == (k == 150)
