@@ -234,7 +234,13 @@ def override_items(overrides: Overrides) -> list[tuple[str, Any]]:
 
 def override_texts(items: Iterable[tuple[str, Any]]) -> list[str]:
     """Return overrides as ``name=value``."""
-    return [f"{name}={value if isinstance(value, str) else shown(value)}" for name, value in items]
+    return [f"{name}={_text_of(value)}" for name, value in items]
+
+
+def _text_of(value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    return "null" if value is None else shown(value)
 
 
 def overridden(data: dict[str, Any], items: Iterable[tuple[str, Any]]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from random_scenes import wide_scenes
 from capture_sim import Bench, SceneError, load_scene, scene_names
 from capture_sim.base.resources import config_dir
 from capture_sim.cli import main
-from capture_sim.scene.loading import change_scene, load_scene_text
+from capture_sim.scene.loading import change_scene, load_scene_text, overrides_of
 from capture_sim.scene.parts import PlanarState, Vehicle, as_mapping
 from capture_sim.scene.paths import field_names
 
@@ -128,6 +128,13 @@ def test_text_of_a_scene_is_that_of_pyyaml():
         expected = yaml.safe_dump(as_mapping(scene), sort_keys=False, default_flow_style=None)
         assert scene.to_yaml() == expected
         assert replace(scene).to_yaml() == expected
+
+
+def test_changes_of_a_scene_can_be_made_again():
+    changed = change_scene(load_scene("tilt_0"), {"latch": None, "buffer.c_A": 13.0})
+    assert overrides_of(changed) == ["latch=null", "buffer.c_A=13.0"]
+    again = change_scene(load_scene("tilt_0"), overrides_of(changed))
+    assert again == changed
 
 
 def test_file_extends_and_overrides_reach_every_value(tmp_path):
