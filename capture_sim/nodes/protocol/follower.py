@@ -99,7 +99,7 @@ class RunPart(Protocol):
     def cancel(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Leave a run that has not begun, or in which this node has failed: close files."""
         del run
-        return RunReport((end.reason,))
+        return RunReport((end.reason,) if end.reason else ())
 
 
 class _Participation:
