@@ -105,7 +105,9 @@ def link(sources: Sequence[Path], library: Path, *flags: str) -> None:
     command = [compiler, *_FLAGS, *flags, "-shared", "-o", library, *sources, "-lm"]
     done = subprocess.run([str(word) for word in command], capture_output=True, text=True)
     if done.returncode:
-        raise FmuError(f"{compiler} failed: {done.stderr.strip().splitlines()[-1:]}")
+        lines = done.stderr.strip().splitlines()
+        errors = [line for line in lines if "error" in line] or lines[-1:] or ["no reason given"]
+        raise FmuError(f"{compiler} failed: {errors[0].strip()}")
 
 
 def write_library(unit: Unit, folder: Path) -> Path:
