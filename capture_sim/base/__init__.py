@@ -1,4 +1,4 @@
-"""What every room may use and what knows nothing of a bench: files, resources, versions,
+"""Modules that every other part of the package may use: files, data folders, versions,
 interrupts, tables.
 
 Takes: Paths, texts, functions.

@@ -1,4 +1,4 @@
-"""Files that are complete when they get their name, and safe file names."""
+"""Files that are complete when they get their name, safe file names, and checks of paths."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from pathlib import Path
 
 from capture_sim.errors import RecordingError
 
-#: Largest length of a stem, bytes: a number, a suffix and a mark for unfinished files still fit.
+#: Largest length of a file name's stem, bytes; file systems accept 255 bytes for a name.  The
+#: rest is for a number, a suffix and the mark of an unfinished file.
 NAME_BYTES = 180
 
 _UNSAFE = re.compile(r"[^\w.+=,@-]+")
@@ -22,9 +23,10 @@ _UNSAFE = re.compile(r"[^\w.+=,@-]+")
 def file_name(text: str, fallback: str = "unnamed") -> str:
     """Return the name of a file, without a folder, for any text such as a run's or a topic's name.
 
-    Letters, digits and ``. _ + = , @ -`` stay; all else becomes ``_``.  A name neither begins
-    with a dot, which would hide it, nor with a dash, which commands take for an option.  The
-    fallback is returned if nothing is left.
+    Letters, digits and ``. _ + = , @ -`` stay; each sequence of other characters becomes one
+    ``_``.  Leading dots, which would hide the file, and leading dashes, which commands take for an
+    option, are removed.  The name is cut to :data:`NAME_BYTES`.  If only ``_`` and ``.`` are left,
+    ``fallback`` is returned.
     """
     # no file system accepts lone surrogates
     clean = _UNSAFE.sub("_", text.encode(errors="replace").decode()).lstrip(".-")
@@ -33,7 +35,10 @@ def file_name(text: str, fallback: str = "unnamed") -> str:
 
 
 def free_path(path: Path) -> Path:
-    """Return the path, or the first free one with ``_2``, ``_3`` ... after its stem."""
+    """Return a path at which nothing exists: this one, or with ``_2``, ``_3`` ... after its stem.
+
+    A broken link counts as existing.
+    """
     candidate, number = path, 1
     while os.path.lexists(candidate):
         number += 1
@@ -48,13 +53,17 @@ def is_device(path: Path) -> bool:
 
 @contextmanager
 def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
-    """Yield a temporary path of the same suffix, and rename that file when it is complete.
+    """Yield a temporary path with the same suffix, and rename the file there when it is complete.
 
-    If the block ends without an error, the file gets its name in one step, so other processes
-    that read or write the same file always find a complete one.  After an error no file remains;
-    after a kill, ``.<name>.part-<random><suffix>`` remains.  The folder is made; a device
-    (``/dev/stdout``) is written to directly.  RecordingError if the file cannot be written,
-    FileExistsError if it exists and ``replace`` is False.
+    The block must write the file at the yielded path.  If it ends without an error, the file gets
+    its name ``path`` in one step, so other processes never find an incomplete file.  After an
+    error, the temporary file is removed and an earlier file at ``path`` stays as it was.  If the
+    process is killed, ``.<stem>.part-<random><suffix>`` remains.  A missing folder is created.  A
+    device (``/dev/stdout``) is yielded itself and written to directly.
+
+    FileExistsError is raised if ``replace`` is False and ``path`` exists.  RecordingError is raised
+    if the file cannot be written.  An error about another file, such as one that the block reads,
+    is raised unchanged.
     """
     part = path.with_name(f".{path.stem[:NAME_BYTES]}.part-{secrets.token_hex(4)}{path.suffix}")
     try:
@@ -79,7 +88,11 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
 
 
 def _link_new(part: Path, path: Path) -> None:
-    """Rename a file in one step; FileExistsError if another has the name."""
+    """Give a file a new name, without replacing another file; FileExistsError if one has the name.
+
+    It takes one step on a file system with hard links; the file then also keeps its old name.  On
+    another file system, an empty file has the new name for a moment.
+    """
     try:
         os.link(part, path)
     except FileExistsError:
@@ -92,7 +105,8 @@ def _link_new(part: Path, path: Path) -> None:
 def writing_problem(folder: Path) -> str:
     """Return the reason why no file can be written into a folder, empty if one can.
 
-    A missing folder is not created, so a command that is rejected later leaves nothing.
+    A missing folder is not created, so a command that is rejected later leaves nothing behind.
+    Its nearest existing parent is tested instead.
     """
     try:
         existing = next(path for path in (folder, *folder.parents) if _is_taken(path))
@@ -107,7 +121,10 @@ def writing_problem(folder: Path) -> str:
 
 
 def file_problem(path: Path) -> str:
-    """Return the reason why a file cannot be written into an existing folder, empty if it can."""
+    """Return the reason why a file cannot be written at a path, empty if it can.
+
+    A missing folder is a reason.
+    """
     if path.is_dir():
         return "it is a folder"
     if not path.parent.is_dir():
@@ -118,12 +135,15 @@ def file_problem(path: Path) -> str:
 
 
 def folder_problem(path: Path) -> str:
-    """Return the reason why a path is no folder, empty if it is one."""
+    """Return the reason why a path is not an existing folder, empty if it is one."""
     return "" if path.is_dir() else "there is none"
 
 
 def _is_taken(path: Path) -> bool:
-    """Return True if a path exists, also as a broken link; OSError if it is not a valid path."""
+    """Return True if a path exists, also as a broken link.
+
+    OSError if that cannot be found out, e.g. if a name in the path is too long.
+    """
     try:
         path.lstat()
     except (FileNotFoundError, NotADirectoryError):

@@ -1,10 +1,10 @@
 """Handling of Ctrl-C in commands and nodes.
 
-KeyboardInterrupt ends a command, as in any Python program.  In a compiler's callback, a destructor
-or a module's import, Python loses it or prints a traceback, so the kernels are compiled and loaded
-in a separate thread.
+In a command, Ctrl-C raises KeyboardInterrupt, as in any Python program.  In a compiler's callback,
+a destructor or a module's import, Python loses this exception or prints a traceback.  The kernels
+(the functions that Numba compiles) are therefore compiled and loaded in a separate thread.
 
-The event :data:`STOP` ends a node; its main thread checks it wherever it waits.
+In a node, Ctrl-C sets the event :data:`STOP`; the main thread checks it wherever it waits.
 """
 
 from __future__ import annotations
@@ -24,20 +24,21 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-#: Set when a node's process shall end.
+#: Event that is set when a node's process has been asked to end.
 STOP = threading.Event()
 _WORKER_NAME = "worker"
-#: A thread that waits for another event checks :data:`STOP` with this period, s.
+#: Period with which :func:`wait_for` checks :data:`STOP`, s.
 _POLL_PERIOD = 0.05
 
 
 def watch_signals(
     stop: threading.Event, signals: Collection[signal.Signals] = (signal.SIGINT, signal.SIGTERM)
 ) -> Callable[[], None]:
-    """Set an event when a signal arrives; return a function that restores the handlers.
+    """Set ``stop`` whenever a signal arrives; return a function that restores the handlers.
 
-    Nothing is raised, so no cleanup is interrupted and no signal is lost in a destructor.  Outside
-    the main thread, where Python does not allow handlers, nothing is done.
+    The given signals raise nothing, so no cleanup is interrupted and no signal is lost in a
+    destructor.  Any other signal that has a handler in Python calls this handler and sets ``stop``
+    too.  Outside the main thread, where Python does not allow handlers, nothing is done.
     """
     if threading.current_thread() is not threading.main_thread():
         return lambda: None
@@ -64,9 +65,10 @@ def watch_signals(
 
 @contextmanager
 def terminated_as_interrupted() -> Iterator[None]:
-    """Raise KeyboardInterrupt on SIGTERM, which batch queues send, as on Ctrl-C.
+    """Raise KeyboardInterrupt on SIGTERM while in the context, as on Ctrl-C.
 
-    Outside the main thread, where Python does not allow handlers, nothing is done.
+    Batch queues send SIGTERM to end a job.  Outside the main thread, where Python does not allow
+    handlers, nothing is done.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -79,26 +81,28 @@ def terminated_as_interrupted() -> Iterator[None]:
 
 
 def tied(command: Sequence[str]) -> list[str]:
-    """Return a command whose process gets SIGTERM when ours is killed, where util-linux is there.
+    """Return the command, extended so that its process does not outlive this one.
 
-    It gets it also when the thread ends that starts it.
+    The process gets SIGTERM when the thread that starts it ends, and so also when this process
+    ends or is killed.  Without ``setpriv`` of util-linux, the command is returned unchanged.
     """
     keeper = shutil.which("setpriv")
     return [*((keeper, "--pdeathsig", "TERM") if keeper else ()), *command]
 
 
 def wait_for(event: threading.Event) -> None:
-    """Wait for an event; KeyboardInterrupt if :data:`STOP` is set before."""
+    """Wait until an event is set; raise KeyboardInterrupt if :data:`STOP` is set before."""
     while not event.wait(_POLL_PERIOD):
         if STOP.is_set():
             raise KeyboardInterrupt
 
 
 def in_worker(work: Callable[[], T]) -> T:
-    """Call a function in a thread; return its result or raise its error.
+    """Call a function in a separate thread; return its result or raise its error.
 
-    After Ctrl-C, KeyboardInterrupt is raised at once, while the function continues: see
-    :func:`leave_if_busy`.
+    After Ctrl-C, KeyboardInterrupt is raised at once, while the function continues; see
+    :func:`leave_if_busy`.  Outside the main thread, which alone receives signals, the function is
+    called in the present thread.
     """
     if threading.current_thread() is not threading.main_thread():
         return work()  # only the main thread receives signals
@@ -125,9 +129,9 @@ def in_worker(work: Callable[[], T]) -> T:
 def leave_if_busy(status: int, *names: str) -> None:
     """End the process at once, with this exit status, if a worker thread is still running.
 
-    Workers are the threads of :func:`in_worker` and those of the given names.  LLVM cannot be
-    interrupted, and a normal exit would wait for the thread, or abort when it returns (before
-    Python 3.14), so ``os._exit`` is used.
+    Workers are the threads of :func:`in_worker` and those of the given names.  ``os._exit`` is
+    used, because a worker that compiles with LLVM cannot be interrupted: a normal exit would wait
+    for it or, before Python 3.14, abort when it returns.
     """
     if any(thread.name in (_WORKER_NAME, *names) for thread in threading.enumerate()):
         sys.stdout.flush()
@@ -138,10 +142,11 @@ def leave_if_busy(status: int, *names: str) -> None:
 def end_within(seconds: int, status: int) -> None:
     """End the process with this exit status if it has not ended after ``seconds`` of wall time.
 
-    Fast DDS in the wheels may spin forever when a participant is destroyed while another appears
-    or disappears (eProsima Fast-DDS issue 6513: a deadline overflows with the C++ library of
-    GCC 9).  rclpy holds Python's lock meanwhile, so no thread, handler or ``finally`` runs; a timer
-    of the C library calls ``_exit``.
+    The function itself returns at once.  Fast DDS in the ROS 2 packages of PyPI may spin forever
+    when a DDS participant is destroyed while another appears or disappears (eProsima Fast-DDS
+    issue 6513: a deadline overflows with the C++ library of GCC 9).  rclpy holds Python's lock
+    meanwhile, so no thread, handler or ``finally`` runs.  Therefore a timer of the C library calls
+    ``_exit``.  Where the C library has no such timer, nothing ends the process.
     """
     sys.stdout.flush()
     sys.stderr.flush()

@@ -1,9 +1,11 @@
-"""The journal of a study: what it has computed so far, in a file that survives a kill.
+"""The journal of a study: what the study has computed so far, in a file that survives a kill.
 
-A journal is a text file that only grows: a head, which says whose study it is, and an entry a line.
-Each entry is handed to the system at once and to the disk every few seconds, so a kill loses none
-and a power cut the last seconds.  A line that a kill has torn is dropped when the file is opened
-again.  One process at a time has a journal: it holds a lock on the file, which ends with it.
+A journal is a text file that only grows.  Its first line is the head, which identifies the study;
+each further line is one entry, in JSON.  Each entry is handed to the operating system at once, so
+a kill of the process loses none.  An entry that comes more than 5 s after the last write to the
+disk itself is written to the disk with all before it; a power cut may lose the entries since then.
+A line that a kill has left incomplete is dropped when the file is opened again.  A process that
+has opened a journal holds a lock on the file until the process ends or closes it.
 """
 
 from __future__ import annotations
@@ -20,34 +22,37 @@ from typing import Any, Self
 
 from capture_sim.errors import CaptureSimError
 
-#: Longest time between two writes to the disk itself, s.
+#: Time after a write to the disk itself before a new entry makes the next one, s.
 _TO_DISK = 5.0
-#: The last entry of a study that has ended.
+#: The last entry of a study that is complete.
 _COMPLETE = "complete"
 
 
 class JournalError(CaptureSimError):
-    """A journal is of another study, is in use, or cannot be written."""
+    """A journal is missing, is of another study, is in use, or cannot be read or written."""
 
 
 class Journal:
-    """A study's file of entries; each is any data that JSON has, with NaN.
+    """A study's file of entries; an entry is any data that JSON can express, NaN included.
 
     Parameters
     ----------
     path
-        File; its folder is made.
+        File; its folder is created.
     head
-        Whose study it is, by name: a study is continued only if all of it is the same.
+        Values that identify the study, by name.  A study is continued only if its file has the
+        same names with the same values; a name without a value is the same as None.
     resume
-        Continue the study in the file, of which ``entries`` has what it computed.  False begins
-        anew; the study in the file is renamed, and ``replaced`` is its name if it was unfinished.
+        True: continue the study in the file; the attribute ``entries`` has its entries so far.
+        False: begin a new study.  An earlier file with entries is renamed to ``<name>.before``,
+        which replaces any older file of this name; the attribute ``replaced`` is that path if the
+        earlier study was unfinished, else None.
 
     Raises
     ------
     JournalError
         Another process works on this study, the file cannot be written, or, with ``resume``, there
-        is none or it is of another study.
+        is no file or it is of another study.
     """
 
     def __init__(self, path: Path, head: Mapping[str, Any], *, resume: bool = False) -> None:
@@ -83,7 +88,7 @@ class Journal:
         self._on_disk = time.monotonic()
 
     def add(self, entry: Any) -> None:
-        """Append an entry; JournalError if it cannot be written."""
+        """Append an entry to the file, not to ``entries``; JournalError if it cannot be written."""
         try:
             self._write(_line(entry))
             if time.monotonic() - self._on_disk > _TO_DISK:
@@ -100,12 +105,12 @@ class Journal:
             line = line[self._file.write(line) :]
 
     def finish(self) -> None:
-        """Note that the study is complete; its file stays."""
+        """Write to the file that the study is complete; the file stays."""
         if not self._is_complete:
             self.add(_COMPLETE)
 
     def remove(self) -> None:
-        """Delete the file of a study that is complete."""
+        """Delete the file, which a complete study no longer needs; a failure is ignored."""
         with suppress(OSError):
             self.path.unlink()
 
@@ -122,7 +127,10 @@ class Journal:
 
 
 def read_journal(path: Path) -> tuple[dict[str, Any], list[Any]]:
-    """Return the head and the entries of a journal; JournalError if the file is none."""
+    """Return the head and the entries of a journal, without an incomplete last line.
+
+    JournalError if the file cannot be read or is not a journal.
+    """
     try:
         with path.open("rb") as file:
             lines = [json.loads(line) for line in file.read().split(b"\n")[:-1]]
@@ -144,7 +152,10 @@ def _line(data: Any) -> bytes:
 
 
 def _locked(path: Path) -> Any:
-    """Return a file, open for reading and appending, that no other process has."""
+    """Open a file for reading and appending, lock it against other processes, and return it.
+
+    A missing file is created.  JournalError if another process holds the lock.
+    """
     while True:
         file = path.open("a+b", buffering=0)
         try:
@@ -160,7 +171,10 @@ def _locked(path: Path) -> Any:
 
 
 def _whole_lines(file: Any) -> list[Any]:
-    """Return the entries of a file, and cut off everything after the last complete entry."""
+    """Return the head and the entries of a file, and cut off all after the last complete line.
+
+    The result is empty if the file does not begin with a head.
+    """
     file.seek(0)
     lines, end = [], 0
     for line in file.read().splitlines(keepends=True):

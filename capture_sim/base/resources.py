@@ -14,7 +14,7 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def _data_dir(name: str) -> Path:
-    """Return a folder of data files; FileNotFoundError if it is not installed."""
+    """Return the folder of data files with this name; FileNotFoundError if it is not installed."""
     checkout = _PACKAGE.parent
     if (checkout / "package.xml").is_file() and (checkout / name).is_dir():
         return checkout / name
@@ -29,7 +29,7 @@ def _data_dir(name: str) -> Path:
 
 
 def config_dir() -> Path:
-    """Return the folder of the configuration files; FileNotFoundError if it is not installed."""
+    """Return the folder of scenes and settings (YAML); FileNotFoundError if it is not installed."""
     return _data_dir("config")
 
 

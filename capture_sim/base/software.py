@@ -1,4 +1,4 @@
-"""Versions of the software that decides about a run's numbers or its file."""
+"""Versions of the software that can change a run's numbers or its recording."""
 
 from __future__ import annotations
 
@@ -16,28 +16,32 @@ from capture_sim.base.version import __version__
 
 _PACKAGES = ("numpy", "numba", "mcap", "rosbags")
 _OWN = "capture_sim"
-#: The parts of a checkout that decide about numbers and files.
+#: Folders of a clone whose files can change a run's numbers or its recording.
 _DECISIVE = ("capture_sim", "config", "msg", "srv", "action")
 
 
 def scene_hash(text: str) -> str:
-    """Return the hash of a scene's resolved YAML text, hexadecimal (SHA-256)."""
+    """Return the SHA-256 hash of a scene's YAML text, in hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 @cache
 def own_version() -> str:
-    """Return the version of this package with its commit, where that is known.
+    """Return the version of this package, with the git commit if it runs from a clone.
 
-    ``0.2.0+1a2b3c4`` from a clone at this commit, ``0.2.0+1a2b3c4.changed`` from a clone whose
-    files differ from the commit's, ``0.2.0`` from an installation or without git.
+    The result is ``0.2.0+1a2b3c4`` in a clone at this commit, ``0.2.0+1a2b3c4.changed`` if files
+    in its folders capture_sim, config, msg, srv or action differ from the commit or are new, and
+    ``0.2.0`` in an installation or without git.  It is determined once per process.
     """
     commit = _commit(Path(__file__).resolve().parents[2])
     return f"{__version__}+{commit}" if commit else __version__
 
 
 def _commit(root: Path) -> str:
-    """Return the commit of a clone, marked if its files differ from it; empty if unknown."""
+    """Return the commit of a clone, 7 digits, with ``.changed`` if files in _DECISIVE differ.
+
+    The result is empty if ``root`` is not a clone of this package or git cannot report its commit.
+    """
     if not ((root / ".git").exists() and (root / "package.xml").is_file()):
         return ""
     # a caller within a git hook has set these for another repository
@@ -59,7 +63,10 @@ def _commit(root: Path) -> str:
 
 @cache
 def software_versions() -> tuple[str, ...]:
-    """Return ``"name version"`` of Python, of this package and of each package that counts."""
+    """Return ``"name version"`` of Python, of this package, and of NumPy, Numba, mcap and rosbags.
+
+    A package that is not installed is left out.
+    """
     found = [f"python {platform.python_version()}", f"{_OWN} {own_version()}"]
     for name in _PACKAGES:
         try:
@@ -70,7 +77,10 @@ def software_versions() -> tuple[str, ...]:
 
 
 def newer_version(software: Iterable[str]) -> str:
-    """Return this package's version in a list of ``"name version"``, if above ours; else empty."""
+    """Return the version of capture_sim in a list of ``"name version"``, if it is newer than ours.
+
+    The result is empty if it is not newer or not listed.  A commit in a version is not compared.
+    """
     for line in software:
         name, _, found = line.partition(" ")
         if name == _OWN and _numbers(found) > _numbers(__version__):
@@ -79,7 +89,7 @@ def newer_version(software: Iterable[str]) -> str:
 
 
 def newer_line(found: str) -> str:
-    """Return the line about a file that a newer version of this package has made."""
+    """Return a warning about a file that was made by the newer version ``found`` of capture_sim."""
     return (
         f"made by capture_sim {found}, read by {__version__}: "
         "what only the newer version knows is left out"

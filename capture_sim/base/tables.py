@@ -19,7 +19,7 @@ _GAP = 4
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a report: a table, if it has one, with lines before and after it."""
+    """A part of a report: lines of text, then a table, then lines; each of them may be empty."""
 
     name: str
     before: Sequence[str] = ()
@@ -31,9 +31,10 @@ class Section:
 def make_table(
     head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1, gap: int = 2
 ) -> Table:
-    """Return a table; the first ``left`` columns are aligned to the left.
+    """Return a table; the first ``left`` columns are aligned to the left, others to the right.
 
-    ``gap`` is the number of blanks between columns, at least 1.  A head may have several lines.
+    ``gap`` is the number of spaces between columns, at least 1.  A name in ``head`` may have
+    several lines.
     """
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, gap - 1, 0, 0))
     for number, name in enumerate(head):
@@ -44,10 +45,11 @@ def make_table(
 
 
 def print_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> None:
-    """Print a table; without a terminal as wide as its contents and without bold text.
+    """Print a table; the first ``left`` columns are aligned to the left, others to the right.
 
-    On a terminal that is too narrow, the columns that have no room follow in a table below, with
-    the first ``left`` columns again: no value is cut.
+    If stdout is not a terminal, the table is as wide as its contents and has no bold text.  On a
+    terminal that is too narrow, further tables below repeat the first ``left`` columns and have
+    the remaining columns.  A value is cut only if it does not fit next to the first columns.
     """
     console = Console(highlight=False, markup=False, emoji=False)
     cells = [list(row) for row in rows]
@@ -62,7 +64,10 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int
 def _blocks(
     head: Sequence[str], rows: Sequence[Sequence[str]], width: int, left: int
 ) -> list[list[int]]:
-    """Return the columns of each table that fits into a width."""
+    """Return, for each table to print, the indices of the columns that fit into the width.
+
+    Each table has the first ``left`` columns and, if there are more, at least one of these.
+    """
     widths = []
     for k, name in enumerate(head):
         lines = [*name.split("\n"), *(row[k] for row in rows if k < len(row))]
@@ -80,7 +85,7 @@ def _blocks(
 def table_text(
     head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1, gap: int = 2
 ) -> str:
-    """Return a table as plain text."""
+    """Return a table as plain text; for the arguments see :func:`make_table`."""
     text = io.StringIO()
     console = Console(file=text, width=_UNLIMITED, highlight=False, markup=False, emoji=False)
     console.print(make_table(head, rows, left=left, gap=gap))

@@ -1,3 +1,3 @@
-"""The version of this package; CITATION.cff, package.xml and CHANGELOG have the same."""
+"""The version of this package; CITATION.cff, package.xml and CHANGELOG state the same version."""
 
 __version__ = "0.2.0"

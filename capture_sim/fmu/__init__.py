@@ -1,4 +1,4 @@
-"""A scene as a library in C and as a unit of FMI 3.0; neither needs Python at run time.
+"""Export of a scene as a C library and as a unit of FMI 3.0 (FMU); neither needs Python to run.
 
 Takes: A ``Scene``.
 Gives: Sources, a compiled library, ``modelDescription.xml``, an archive.

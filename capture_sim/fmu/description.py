@@ -1,4 +1,7 @@
-"""modelDescription.xml of FMI 3.0, and the archive that a unit is."""
+"""Writes a co-simulation unit of FMI 3.0 (FMU): its modelDescription.xml and its archive.
+
+A unit is a zip archive of the description, the compiled library and the scene.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from capture_sim.base.version import __version__
 from capture_sim.fmu.library import Unit, link, write_sources
 from capture_sim.fmu.variables import Kind, UnitVariable
 
-#: Exponents of kg, m, s and rad; FMI knows units by these.
+#: Exponents of kg, m, s and rad by which FMI defines each unit.
 _UNITS = {
     "s": {"s": 1},
     "m": {"m": 1},
@@ -35,18 +38,21 @@ _UNITS = {
     "N m s^2/rad^2": {"kg": 1, "m": 2, "rad": -2},
 }
 _ELEMENTS = {Kind.REAL: "Float64", Kind.INTEGER: "Int64", Kind.BOOLEAN: "Boolean"}
-#: The step that a master takes by default, s.
+#: Step that the description suggests to the importing program, s.
 _STEP = 0.001
 
 
 def identifier(unit: Unit) -> str:
-    """Return the name of the unit's library: FMI permits letters, digits and ``_``."""
+    """Return ``capture_`` and the scene's name, as name of the library in the unit.
+
+    FMI permits letters, digits and ``_`` only, so other characters become ``_``.
+    """
     text = "".join(c if c.isascii() and c.isalnum() else "_" for c in unit.scene.name)
     return f"capture_{text}"
 
 
 def description(unit: Unit) -> str:
-    """Return the text of modelDescription.xml."""
+    """Return the text of modelDescription.xml; it contains the present time."""
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     root = ET.Element(
         "fmiModelDescription",
@@ -104,7 +110,7 @@ def description(unit: Unit) -> str:
 
 
 def _add(model: ET.Element, reference: int, variable: UnitVariable, causality: str) -> None:
-    """Add a variable to the ModelVariables."""
+    """Add a variable to the element ModelVariables, with ``reference`` as its valueReference."""
     attributes = {"name": variable.name, "valueReference": str(reference), "causality": causality}
     element = _ELEMENTS[variable.kind]
     if variable.doc:
@@ -132,14 +138,14 @@ def _add(model: ET.Element, reference: int, variable: UnitVariable, causality: s
 
 
 def write_fmu(unit: Unit, path: Path) -> None:
-    """Write a co-simulation unit for this operating system and architecture.
+    """Write a unit's archive (``.fmu``) with a library for this operating system and architecture.
 
     Raises
     ------
     FmuError
-        There is no C compiler, or the machine or Numba is not supported.
+        There is no C compiler, it fails, or the machine or this version of Numba is not supported.
     RecordingError
-        The file cannot be written.
+        The archive cannot be written.
     """
     name = identifier(unit)
     folder = f"binaries/{platform.machine()}-linux"

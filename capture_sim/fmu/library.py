@@ -1,4 +1,8 @@
-"""The C library of a unit: the scene's data as a header, the sources in this folder, a compiler."""
+"""Builds the C library of a scene, by itself or for a co-simulation unit of FMI 3.0 (FMU).
+
+The scene's data become a header, ``scene.h``.  The library consists of this header, the C sources
+in this folder and the compiled integrator and detector.
+"""
 
 from __future__ import annotations
 
@@ -25,26 +29,27 @@ from capture_sim.fmu.variables import UnitVariable, inputs, offset_of, outputs, 
 from capture_sim.scene.parts import Scene
 
 _SOURCES = Path(__file__).resolve().parent
-#: The library's own names are bound within it: two units in one process do not mix.
+#: -Bsymbolic: a library uses its own functions, also if two libraries are loaded in one process.
 _FLAGS = ("-std=c11", "-O2", "-fPIC", "-Wl,-Bsymbolic", "-Wall", "-Wextra")
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A scene with all that its sources need.
+    """A scene and what its C library and its co-simulation unit (FMU) are made from.
 
     Attributes
     ----------
     scene
         The scene.
     parameters, inputs, outputs
-        Its variables, in the order of their numbers.
+        Its variables; each position in a list is the index that the C functions use.
     header
         Text of ``scene.h``.
     token
-        Hash of header and version, the unit's ``instantiationToken``.
+        Hash of the header and of capture_sim's version, the ``instantiationToken`` of FMI.
     portable
-        True for the instructions of any processor of the architecture.
+        True if the library runs on any processor of this architecture; False if it may use all
+        instructions of the processor on which it is made.
     """
 
     scene: Scene
@@ -57,12 +62,14 @@ class Unit:
 
     @property
     def variables(self) -> list[UnitVariable]:
-        """All of them."""
+        """Parameters, inputs and outputs, in this order."""
         return [*self.parameters, *self.inputs, *self.outputs]
 
 
 def make_unit(scene: Scene, *, portable: bool = False) -> Unit:
-    """Return a scene's unit; nothing is compiled yet.
+    """Return the unit of a scene; its library is not compiled yet.
+
+    ``portable``: see :class:`Unit`.
 
     Raises
     ------
@@ -80,7 +87,16 @@ def make_unit(scene: Scene, *, portable: bool = False) -> Unit:
 
 
 def write_sources(unit: Unit, folder: Path) -> list[Path]:
-    """Write the header, the sources and the kernels' object files into a folder; return these."""
+    """Write all sources of the library into a folder; return the paths of the object files.
+
+    These are ``scene.h``, the C sources, and one object file for each compiled function
+    (:func:`~capture_sim.fmu.machine_code.machine_code`).  The folder is created.
+
+    Raises
+    ------
+    FmuError
+        The machine or this version of Numba is not supported.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("bench.h", "bench.c", "fmi3.c"):
         shutil.copy(_SOURCES / name, folder)
@@ -92,7 +108,9 @@ def write_sources(unit: Unit, folder: Path) -> list[Path]:
 
 
 def link(sources: Sequence[Path], library: Path, *flags: str) -> None:
-    """Compile and link a shared library; ``flags`` are further ones for the compiler.
+    """Compile C sources, and link them with object files into a shared library.
+
+    ``sources``: paths of both.  ``flags``: arguments of the compiler in addition to the usual ones.
 
     Raises
     ------
@@ -111,7 +129,15 @@ def link(sources: Sequence[Path], library: Path, *flags: str) -> None:
 
 
 def write_library(unit: Unit, folder: Path) -> Path:
-    """Write ``lib<scene>.so`` and ``bench.h`` into a folder; return the library's path."""
+    """Write ``lib<scene>.so`` and ``bench.h`` into a folder; return the library's path.
+
+    Raises
+    ------
+    FmuError
+        There is no C compiler, it fails, or the machine or this version of Numba is not supported.
+    RecordingError
+        A file cannot be written.
+    """
     library = folder / f"lib{unit.scene.name}.so"
     with tempfile.TemporaryDirectory() as name:
         sources = Path(name)
@@ -124,9 +150,10 @@ def write_library(unit: Unit, folder: Path) -> Path:
 
 
 def _header(unit: Unit, workspace: np.ndarray, without_walls: np.ndarray) -> str:
-    """Return the text of ``scene.h``.
+    """Return the text of ``scene.h``, without the token.
 
-    ``workspace``: the initial one; ``without_walls``: the same for a contact outside.
+    ``workspace``: the engine's record at the release.  ``without_walls``: the same record after
+    the cone's walls were switched off, as the parameter ``contact_outside`` does.
     """
     scene, found = unit.scene, unit.parameters
     data = workspace.tobytes().rstrip(b"\0")
@@ -175,7 +202,7 @@ def _header(unit: Unit, workspace: np.ndarray, without_walls: np.ndarray) -> str
     checks = [f"CS_NEED({_c(name)})" for name in needs]
 
     def table(declaration: str, rows: Iterable[object]) -> str:
-        """Return a table of C, which has at least one row."""
+        """Return the definition of an array in C; an empty array gets one zero row."""
         lines = [f"  {row}" for row in rows] or ["  {0}"]
         return f"static const {declaration} = {{\n" + ",\n".join(lines) + "\n};"
 
@@ -216,7 +243,7 @@ def _header(unit: Unit, workspace: np.ndarray, without_walls: np.ndarray) -> str
 
 
 def _variable(variable: UnitVariable) -> str:
-    """Return a variable as an initialiser of ``cs_variable``."""
+    """Return a variable as an initialiser of the C structure ``cs_variable`` in ``bench.h``."""
     allowed, cells = variable.allowed, [_c(variable.name), _c(variable.unit), _c(variable.meaning)]
     cells.append(variable.kind.value)
     if allowed is None:
@@ -228,13 +255,13 @@ def _variable(variable: UnitVariable) -> str:
 
 
 def _number(value: float) -> str:
-    """Return a double as C writes it, exactly."""
+    """Return a number as a C expression of exactly this value, also for an infinite one."""
     if math.isinf(value):
         return "CS_NEVER" if value > 0.0 else "-CS_NEVER"
     return float(value).hex()
 
 
 def _c(text: str) -> str:
-    """Return a text as a literal of C."""
+    """Return a text of one line as a string literal of C."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return f'"{escaped}"'

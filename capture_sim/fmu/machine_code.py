@@ -1,8 +1,8 @@
-"""Machine code of the engine's loop and of the detector, for programs without Python.
+"""Machine code of the integrator and of the detector, for programs without Python.
 
 Only public parts of Numba and llvmlite are used: ``cfunc``, the text of its LLVM module, and LLVM's
-code generator.  The mangled name of the function in that text is the one thing that no
-documentation of Numba promises; an error names it if it is not found.
+code generator.  One assumption is not documented by Numba: the name of the compiled function in
+that text contains the name of the Python function.  If it does not, FmuError is raised.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from capture_sim.dynamics.engine.state import WORKSPACE
 from capture_sim.dynamics.samples import SAMPLE
 from capture_sim.errors import CaptureSimError
 
-#: Functions of C: see :func:`_advance` and :func:`_detect`.
+#: Names of the C functions that are generated, by :func:`_advance` and :func:`_detect`.
 ENTRIES = ("capture_sim_advance", "capture_sim_detect")
 #: Instructions beyond the architecture's first generation that the C compiler can ask for.
 _TESTABLE = ("avx", "avx2", "fma", "bmi", "bmi2", "avx512f", "avx512dq", "avx512bw", "avx512vl")
@@ -29,11 +29,17 @@ _OLDEST = {"x86_64": "x86-64", "aarch64": "generic"}
 
 
 class FmuError(CaptureSimError):
-    """A unit cannot be made on this machine."""
+    """A co-simulation unit (FMU) or its C library cannot be made on this machine."""
 
 
 def instructions(*, portable: bool) -> tuple[str, ...]:
-    """Return the names of the instruction sets that :func:`machine_code` may use."""
+    """Return the instruction sets that a library must find on the processor when it starts.
+
+    They are names that the C compiler knows, such as ``avx2``, of sets that
+    :func:`machine_code` may use on this machine.  The result is empty if ``portable`` is True, on
+    another architecture than x86-64, and if Numba is told a processor (``NUMBA_CPU_NAME``): the
+    library then checks nothing.
+    """
     if portable or platform.machine() != "x86_64" or numba.config.CPU_NAME:
         return ()
     has = llvm.get_host_cpu_features()
@@ -42,15 +48,18 @@ def instructions(*, portable: bool) -> tuple[str, ...]:
 
 @cache
 def machine_code(entry: str, *, portable: bool) -> bytes:
-    """Return an object file with one of :data:`ENTRIES`; compiling all needs about 10 s.
+    """Return the content of an object file that defines ``entry``, one of :data:`ENTRIES`.
 
-    ``portable``: for any processor of this architecture, and not only for processors with the
-    instructions of this one.  The results of the two differ by round-off.
+    Compiling all entries needs about 10 s; a second call returns the same bytes at once.
+
+    ``portable``: True for code that runs on any processor of this architecture; False for code
+    that may use all instructions of this processor, or of the one in ``NUMBA_CPU_NAME``.  Results
+    of portable code differ from those of other code by round-off.
 
     Raises
     ------
     FmuError
-        The architecture or this version of Numba is not supported.
+        The operating system, the architecture or this version of Numba is not supported.
     """
     if platform.machine() not in _OLDEST or platform.system() != "Linux":
         raise FmuError(
@@ -84,7 +93,11 @@ _NUMBERS = types.CPointer(types.float64)
 
 
 def _advance() -> str:
-    """Return the LLVM module of the loop with all its kernels, optimised by Numba."""
+    """Return the text of an LLVM module with the integrator's loop and all that it calls.
+
+    The C function has the arguments of :func:`capture_sim.dynamics.engine.loop.advance`, with the
+    lengths of ``times`` and ``trace`` (``samples`` is as long as ``times``).
+    """
     advance = loop.advance.compiled  # type: ignore[attr-defined]
 
     def capture_sim_advance(w, times, n_times, samples, trace, n_trace):  # type: ignore[no-untyped-def]
@@ -99,7 +112,11 @@ def _advance() -> str:
 
 
 def _detect() -> str:
-    """Return the LLVM module of the criteria: at one sample, or at the end of the run."""
+    """Return the text of an LLVM module with the function that evaluates the detector's criteria.
+
+    The C function evaluates one sample.  With ``is_end`` not 0, it instead decides a run that has
+    no verdict yet.  It returns the state of the detector.
+    """
     last_undecided = int(criteria.CaptureState.CONTACT)  # a verdict before the end stays
     follow, decide_at_end = exact.follow.compiled, criteria.decide_at_end.compiled  # type: ignore[attr-defined]
 
@@ -119,9 +136,10 @@ def _detect() -> str:
 
 
 def _keep_only(entry: str, module: llvm.ModuleRef) -> None:
-    """Give a function its name, and hide everything else, so that unused functions are removed.
+    """Name the compiled function ``entry``, and make all else in the module internal.
 
-    Next to the function itself, the module has a wrapper that reports exceptions to Python.
+    LLVM then removes what the function does not use, such as Numba's wrapper around it, which
+    reports exceptions to Python.  FmuError if the module does not have exactly one such function.
     """
     found = [
         function

@@ -1,4 +1,7 @@
-"""The variables of a unit that its user sets and reads: names, units, and places in the records."""
+"""Variables of a co-simulation unit (FMU) or its C library: parameters, inputs and outputs.
+
+Each has a name, a physical unit, and its offset in the memory of a run.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ _INITIAL: tuple[tuple[str, Mapping[str, tuple[int, ...]]], ...] = (
 
 
 class Kind(Enum):
-    """Type of a variable; the value is its name in ``bench.h``."""
+    """Type of a variable; the value is the name of this type in ``bench.h``."""
 
     REAL = "CS_REAL"
     INTEGER = "CS_INTEGER"
@@ -46,29 +49,31 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class UnitVariable:
-    """A number of a unit.
+    """A parameter, input or output of a co-simulation unit (FMU) or its C library.
 
     Attributes
     ----------
     name
-        Field of the scene, or column of a table of samples.
+        Field of the scene, column of a table of samples, or a name of its own.
     unit
-        SI unit.
+        SI unit; ``1`` for a number without unit.
     places
-        Offsets in bytes: in the workspace (a parameter's one or two, an input's), or in a sample
-        followed by the detector's memory (an output's).
+        Offsets in bytes.  A parameter has one or two and an input has one, in the engine's record
+        (WORKSPACE).  An output has one, in a sample (SAMPLE) that the detector's record (MEMORY)
+        follows.
     kind
-        Its type; INTEGER and BOOLEAN are int64 in these records.
+        Type; INTEGER and BOOLEAN are int64 in these records.
     allowed
         Range of a parameter; None for an input or output.
     start
-        Value in the scene.
+        Value of a parameter in the exported scene; 0 for an input or output.
     doc
-        Meaning.
+        Meaning in words; empty if the name is enough.
     shapes_buffer
-        True if the buffer's general law has to apply once this parameter is set.
+        True for a spring or damper of the buffer: setting it selects the buffer's general force
+        law, with cubic springs, quadratic dampers and separate damping of the rebound.
     values
-        Named values of an INTEGER; None for any.
+        Named values of an INTEGER; None if its values have no names.
     """
 
     name: str
@@ -83,13 +88,13 @@ class UnitVariable:
 
     @property
     def meaning(self) -> str:
-        """The meaning, with the named values."""
+        """``doc`` and the named values, such as ``verdict; 0 approach, 1 contact``."""
         named = [f"{value.value} {value.name.lower()}" for value in self.values or ()]
         return "; ".join(filter(None, (self.doc, ", ".join(named))))
 
 
 def offset_of(record: np.dtype, *names: str) -> int:
-    """Return the place of a field, or of a field in a field, in bytes."""
+    """Return the offset in bytes of a field in a record; names go from outer to inner fields."""
     offset = 0
     for name in names:
         fields: Mapping[str, Any] = record.fields or {}
@@ -98,7 +103,7 @@ def offset_of(record: np.dtype, *names: str) -> int:
     return offset
 
 
-#: What the detector says: its names in the memory of the criteria, and in a status.
+#: Outputs of the detector, named as in its status; _REMEMBERED has their names in its record.
 _DETECTED = (
     UnitVariable("capture_state", "1", (), Kind.INTEGER, doc="verdict", values=CaptureState),
     UnitVariable("capture_since", "s", (), doc="begin of the present capture_state"),
@@ -108,7 +113,11 @@ _REMEMBERED = ("state", "since", "nearest")
 
 
 def outputs() -> list[UnitVariable]:
-    """Return the numbers of a sample but for its time, named as in tables, and the detector's."""
+    """Return the outputs: all numbers of a sample except its time, then three of the detector.
+
+    Numbers of a sample are named as the columns of tables.  Those of the detector are the verdict,
+    its begin and the closest approach.
+    """
     places = np.zeros(1, [(name, "i8", SAMPLE[name].shape) for name in SAMPLE.names or ()])
     for name in SAMPLE.names or ():
         n = max(1, int(np.prod(SAMPLE[name].shape)))
@@ -128,10 +137,10 @@ def outputs() -> list[UnitVariable]:
 
 
 def inputs(scene: Scene) -> list[UnitVariable]:
-    """Return the external wrench on the tip, and the wrenches on vehicles with thrusters.
+    """Return the inputs: the external wrench on the tip, and that on each vehicle with thrusters.
 
-    A scene with supports has no wrench on the tip: such a wrench replaces the walls, and these
-    stay.
+    A scene with supports has no wrench on the tip.  Such a wrench acts in place of the cone's
+    walls, and a scene with supports cannot be run without its walls.
     """
     numbers = (("force.x", "N"), ("force.y", "N"), ("torque.z", "N m"))
 
@@ -155,10 +164,14 @@ def inputs(scene: Scene) -> list[UnitVariable]:
 
 
 def parameters(scene: Scene, workspace: np.ndarray) -> list[UnitVariable]:
-    """Return the fields of a scene that may be set before the release.
+    """Return the parameters, which may be set before the release.
 
-    These are numbers that the engine reads as they are.  The launch and the scale of errors follow
-    from other fields; they are those of the exported scene.
+    These are fields of the scene that the engine uses without conversion, and, in a scene without
+    supports, the switch ``contact_outside``.  The launch and the scale of the integrator's error
+    are computed when a scene is exported, so no parameter changes them.
+
+    ``workspace``: the engine's record at the release, (1,) of dtype WORKSPACE, with the scene's
+    values.
     """
     raw = workspace.view(np.uint8)
 

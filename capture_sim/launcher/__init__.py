@@ -1,4 +1,4 @@
-"""The launch as it goes, compared with its plan: armed, released, landed, delivered or aborted.
+"""The launcher's state machine, which compares a running launch with its plan.
 
 Takes: A ``Scene`` and a ``LaunchObservation`` at a time.
 Gives: ``LauncherStatus``.

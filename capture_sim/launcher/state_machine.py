@@ -1,6 +1,7 @@
 """The launcher's state machine: it compares a launch with its plan.
 
-Offline runs, nodes and real benches evaluate a launch by :meth:`Launcher.observe` alone.
+Python runs, the ROS 2 nodes and trials of a real bench all evaluate a launch by
+:meth:`Launcher.observe`, so the same measurements give the same status.
 """
 
 from __future__ import annotations
@@ -14,16 +15,17 @@ from capture_sim.scene.launch_plan import LaunchPlan, expected_speed, plan_launc
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range, quantity
 
-#: A first touch may always be late by this much, s.
+#: Time, s, by which the first touch may be late in addition to the tolerance.
 GRACE = 0.5
-#: A speed is wrong only if it is so by this many of its standard deviations.
+#: A speed deviates only if it exceeds the tolerance by this many of its standard deviations.
 SPEED_GUARD = 5.0
 
 
 def is_predicted(scene: Scene, plan: LaunchPlan) -> bool:
     """Return True if the plan predicts the time and speed of the first touch.
 
-    It does for a chaser that moves along its heading to a target at rest.
+    It does if the initial velocity of the chaser is zero or along its heading, without rotation,
+    if the target is at rest, and if the plan has the chaser reach the cone.
     """
     chaser, target = scene.initial.chaser, scene.initial.target
     along = chaser.vx * math.cos(chaser.theta) + chaser.vy * math.sin(chaser.theta)
@@ -35,7 +37,7 @@ def is_predicted(scene: Scene, plan: LaunchPlan) -> bool:
 
 
 class LauncherPhase(Named):
-    """State of the launcher, as in msg/LauncherState.msg."""
+    """State of the launcher; msg/LauncherState.msg explains the values."""
 
     IDLE = 0
     ARMED = 1
@@ -47,7 +49,7 @@ class LauncherPhase(Named):
 
 @dataclass(frozen=True)
 class LauncherStatus:
-    """The status of a launcher; fields as in msg/LauncherState.msg."""
+    """The status of a launcher; msg/LauncherState.msg explains the fields and their units."""
 
     state: LauncherPhase
     hanging_mass: float
@@ -59,7 +61,7 @@ class LauncherStatus:
 
 
 class LaunchObservation(NamedTuple):
-    """One measurement of a launch."""
+    """One measurement of a launch, for :meth:`Launcher.observe`."""
 
     t: float  # s, since the release; NaN: not known, so that no delay is evaluated
     speed: float  # m/s, of the chaser along the rail
@@ -67,7 +69,7 @@ class LaunchObservation(NamedTuple):
     is_slack: bool  # the mass has landed
     has_touched: bool  # the tip has met the cone
     speed_deviation: float = 0.0  # m/s, standard deviation of ``speed``
-    unseen: str = ""  # why the speed at the first touch is unknown
+    unseen: str = ""  # why the speed at the first touch is unknown; empty: it is known
 
 
 @dataclass
@@ -89,13 +91,16 @@ class LaunchSettings:
 
 
 class Launcher:
-    """Follows one launch from arming to the first contact; without a string it only lets go.
+    """Follows one launch from arming to the first touch; in a scene without string too.
 
-    ``tolerance``: the share of the wanted impact speed by which the speed may differ, and of the
-    time of the first touch (and :data:`GRACE`) by which that may be late; else the launch is
-    aborted, or, without ``aborts``, only described.  ``deviation``: how the launch differed from
-    the plan at the last measurement; empty if it did not, or if the plan does not predict it
-    (:func:`is_predicted`).
+    ``tolerance`` is a share.  The chaser's speed may differ from the plan by this share of the
+    planned impact speed, plus :data:`SPEED_GUARD` standard deviations of the measurement.  The
+    first touch may be late by this share of its planned time, plus :data:`GRACE`.  A launch that
+    differs more is aborted; if ``aborts`` is False, only ``deviation`` is set.
+
+    ``deviation`` says in words how the launch differed from the plan at the last measurement.  It
+    is empty if the launch did not differ, after the first touch, and if the plan does not predict
+    the launch (:func:`is_predicted`).
     """
 
     def __init__(
@@ -111,7 +116,7 @@ class Launcher:
 
     @property
     def status(self) -> LauncherStatus:
-        """The present status."""
+        """The present status; ``measured_speed`` is 0 before the first measurement."""
         p = self.plan
         return LauncherStatus(
             self._state,
@@ -125,33 +130,49 @@ class Launcher:
 
     @property
     def is_under_way(self) -> bool:
-        """True from the release to the first contact."""
+        """True from the release to the first touch or the abort."""
         return self._state in (LauncherPhase.RELEASED, LauncherPhase.LANDED)
 
     @property
     def latest_contact(self) -> float:
-        """Latest time of the first touch that is no deviation, s since the release."""
+        """Latest time at which the first touch is not late, s since the release.
+
+        ``inf`` if the plan predicts no touch.
+        """
         return (1.0 + self.tolerance) * self.plan.contact_time + GRACE
 
     def release(self) -> LauncherStatus:
-        """Note that the release has been sent."""
+        """Note that the release has been sent; return the status.  Nothing changes unless armed."""
         if self._state is LauncherPhase.ARMED:
             self._state = LauncherPhase.RELEASED
         return self.status
 
     def abort(self, reason: str) -> LauncherStatus:
-        """Give the launch up, for ``reason``; one that is over stays as it is."""
+        """Abort the launch, with a ``reason`` in words; return the status.
+
+        A launch that is already delivered or aborted stays as it is.
+        """
         if self._state not in (LauncherPhase.DELIVERED, LauncherPhase.ABORTED):
             self._state, self._reason = LauncherPhase.ABORTED, reason
         return self.status
 
     def travelled(self, x: float, y: float) -> float:
-        """Return the travel of the chaser at (x, y), m, along its launch direction, m."""
+        """Return how far the chaser has travelled along its initial heading, m.
+
+        ``x``, ``y``: position of the chaser in the world frame, m.  The travel counts from the
+        chaser's initial position in the scene.
+        """
         start = self._scene.initial.chaser
         return (x - start.x) * math.cos(start.theta) + (y - start.y) * math.sin(start.theta)
 
     def observe(self, observed: LaunchObservation) -> LauncherStatus:
-        """Add a measurement; abort if the launch does not go as planned."""
+        """Evaluate a measurement, and return the status after it.
+
+        If the plan predicts the launch, ``deviation`` describes how the launch differs, and a
+        launch that differs is aborted if ``aborts`` is True.  With ``has_touched`` the launch is
+        delivered; its impact speed is that of the previous measurement, NaN if ``unseen`` is
+        given.  Before the release, and once the launch is over, a measurement changes nothing.
+        """
         if not self.is_under_way:
             return self.status
         if observed.has_touched:
@@ -169,7 +190,7 @@ class Launcher:
         return self.status
 
     def _deviation(self, observed: LaunchObservation) -> str:
-        """Return how the launch differs from the plan; empty if it does not."""
+        """Return how the launch differs from the plan, in words; empty if it does not."""
         plan, latest = self.plan, self.latest_contact
         if observed.t > latest:
             return (

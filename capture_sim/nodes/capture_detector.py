@@ -40,9 +40,10 @@ CRITERION = {field.name: field for field in fields(Detector)}
 
 
 class CaptureDetectorNode(BenchNode, RunPart):
-    """Publishes a status for every instant at which the poses were measured.
+    """Publishes whether the tip is captured, for every instant at which the poses were measured.
 
-    docs/detection.md explains the criteria.
+    It takes part in announced runs and trials; with the parameter ``scene``, it also evaluates a
+    bench where no node announces runs.  docs/detection.md explains the criteria.
     """
 
     # of the run that is on
@@ -74,7 +75,7 @@ class CaptureDetectorNode(BenchNode, RunPart):
 
     @property
     def run(self) -> Any:
-        """The run that is on, None without one."""
+        """The run that this node takes part in at the moment (AnnouncedRun), or None."""
         return self._follower.run
 
     def work(self) -> int:
@@ -85,7 +86,10 @@ class CaptureDetectorNode(BenchNode, RunPart):
         return self._follower.work()
 
     def prepare(self, run: AnnouncedRun) -> None:
-        """Restart for the scene of this run."""
+        """Make a new detector for the scene of this run, with the criteria set as parameters.
+
+        In a trial, also wait for the measurements: see :meth:`_await_sources`.
+        """
         criteria = self._criteria()
         scene = replace(run.scene, detector=replace(run.scene.detector, **criteria))
         self._criteria_in_force = scene.detector
@@ -109,10 +113,11 @@ class CaptureDetectorNode(BenchNode, RunPart):
             self._await_sources(run.name)
 
     def _await_sources(self, name: str) -> None:
-        """Wait for measurements of a trial, so that the chaser is not let go before they come.
+        """Wait until the measurements of a trial arrive, or SOURCES_TIMEOUT has passed.
 
-        On a busy machine this node can discover a driver seconds after the launcher has, and a
-        chaser that it has not seen arrive gets no verdict.
+        The launcher does not let the chaser go before this node is ready.  On a busy machine this
+        node can discover a driver seconds after the launcher has, and without poses from before
+        the contact it gives no verdict.  ``name`` is the trial's, for the warnings.
         """
         self.wait(lambda: self._follower.has_ended or not self._unseen(), SOURCES_TIMEOUT)
         for topics in self._unseen():
@@ -120,7 +125,11 @@ class CaptureDetectorNode(BenchNode, RunPart):
             self.get_logger().warning(f"{name}: no measurement of {names} yet")
 
     def _unseen(self) -> list[tuple[Topic, ...]]:
-        """Return the topics of each source that is needed and has sent nothing lately."""
+        """Return, for each source of measurements that is missing, the topics that can give it.
+
+        A source is chaser, target or buffer.  It is missing if no message has arrived lately; the
+        buffer only if a node publishes it, as not every bench measures it.
+        """
         return [
             topics
             for source, topics in TOPICS_OF_SOURCE.items()
@@ -129,12 +138,12 @@ class CaptureDetectorNode(BenchNode, RunPart):
         ]
 
     def begin(self, run: AnnouncedRun) -> None:
-        """Publish the criteria."""
+        """Publish the criteria that this run is evaluated by."""
         del run
         self.publish(self._telemetry.begin(self._criteria_in_force))
 
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
-        """Send the final verdict, and report how much was sent."""
+        """Publish the final verdict and how many messages were sent; return what went wrong."""
         self._evaluate()
         statuses = self._detector.finish(cut=self._follower.was_cut)
         self._send_all(statuses)
@@ -146,10 +155,10 @@ class CaptureDetectorNode(BenchNode, RunPart):
         return end.report
 
     def _declare_criteria(self) -> None:
-        """Declare the scene's criteria as parameters, with their units and ranges.
+        """Declare a parameter for each criterion, with unit and range.
 
-        One that is set applies from the next run on, as a run is evaluated by one set of criteria
-        from its start to its end.
+        NaN, the default, leaves the criterion as the scene has it.  A change applies from the next
+        run on: a run is evaluated by the same criteria from its start to its end.
         """
         for name, field in CRITERION.items():
             unit, allowed = field.metadata["unit"], field.metadata["allowed"]
@@ -163,18 +172,21 @@ class CaptureDetectorNode(BenchNode, RunPart):
             )
 
     def _criteria(self) -> dict[str, float]:
-        """Return the criteria that are set; the others are the scene's."""
+        """Return the criteria that are set as parameters, by name; the rest is as in the scene."""
         values = {name: float(self.get_parameter(name).value) for name in CRITERION}
         return {name: value for name, value in values.items() if not math.isnan(value)}
 
     def _diagnose(self, topic: Topic, data: bytes) -> None:
-        """Report a measurement of a bench to the diagnostics, without its rates."""
+        """Report a measurement to the diagnostics, without its time derivatives."""
         stamp, values = self._readers[topic](data)
         count = 2 if OF_A_BENCH[topic] is Source.BUFFER else 3
         self._sources.add(topic, stamp, values[:count])
 
     def _progress(self) -> list[DiagnosticStatus]:
-        """Return how far the evaluation is behind the newest measurement."""
+        """Return a diagnostic: how far the evaluation is behind the newest measurement.
+
+        The list is empty while no run is on, and in simulated runs.
+        """
         if self._follower.run is None or self._follower.run.simulated:
             return []
         behind, delay = self._detector.behind, self._detector.delay
@@ -190,7 +202,11 @@ class CaptureDetectorNode(BenchNode, RunPart):
         self._waiting.append((*measurement, arrival))
 
     def serve(self, limit: float = 0.0) -> None:
-        """Run callbacks; of measurements, all that wait are read, then evaluated together."""
+        """Run callbacks; then evaluate the measurements that these have read, all together.
+
+        At most about MAX_BATCH are read before they are evaluated.  ``limit``: how long to wait for
+        a first callback, s (wall).
+        """
         super().serve(limit)
         count = 0
         while count < len(self._waiting) < MAX_BATCH and self._follower.run is not None:
@@ -200,7 +216,7 @@ class CaptureDetectorNode(BenchNode, RunPart):
             self.guarded(self._evaluate)()
 
     def _evaluate(self) -> None:
-        """Evaluate the measurements that were read; publish the statuses that result."""
+        """Evaluate the measurements that wait for it; publish the statuses that result."""
         waiting, self._waiting = self._waiting, []
         self._send_all([s for each in waiting for s in self._detector.measure(*each)])
         if waiting and (now := time.monotonic()) >= self._warned + WARNING_PERIOD:

@@ -1,4 +1,4 @@
-"""The node that replaces contact hardware: it answers the tip's position with a wrench."""
+"""The node that stands in for contact hardware: it answers positions of the tip with wrenches."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from capture_sim.nodes.base.process import run
 class ContactRigNode(BenchNode):
     """Simulates a contact rig: servo, load cell, walls and transport.
 
-    `-p ideal:=true` is a rig without servo, noise, bias and delay.  docs/hardware_in_the_loop.md
-    lists the parameters.
+    With the parameter ``ideal`` it has no servo lag, noise, bias or delay.
+    docs/hardware_in_the_loop.md lists the parameters.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -54,7 +54,7 @@ class ContactRigNode(BenchNode):
         self.listen(TIP, self._answer)
 
     def work(self) -> int:
-        """Answer until Ctrl-C."""
+        """Answer the positions that arrive until Ctrl-C; return the exit status."""
         self.get_logger().info("ready")
         self.wait()
         return OK

@@ -1,4 +1,4 @@
-"""The node that launches: for a simulator by its runs, on a real bench by the goals of trials."""
+"""The node that launches the chaser, in the runs of a simulator or in trials of a real bench."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ SETTINGS = {"tolerance": "speed_tolerance", "aborts": "abort_on_deviation"}
 class LauncherNode(BenchNode):
     """Launches the chaser and compares the launch with its plan.
 
-    With the actuator ``simulated`` it arms and releases for the simulator that announces a run.
-    With ``output`` or ``none`` it serves trials of a real bench, by the action ~/run_trial, and no
-    simulator or player moves anything: ``output`` lets the chaser go by launcher/hold, with
-    ``none`` it is let go by hand.
+    The parameter ``actuator`` says what holds the chaser.  ``simulated``: a simulator; the launcher
+    arms and releases in each run that a simulator announces.  ``output`` and ``none``: a real
+    bench; the launcher serves the action ~/run_trial, and runs of simulators and players make it
+    move nothing.  With ``output`` it lets the chaser go by a message on launcher/hold; with
+    ``none`` somebody lets it go by hand.
     """
 
     def __init__(self, **options: Any) -> None:

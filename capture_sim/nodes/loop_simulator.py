@@ -1,4 +1,4 @@
-"""The node that simulates vehicles and buffer while the contact comes from a topic."""
+"""The node that simulates vehicles and buffer while hardware answers with the contact force."""
 
 from __future__ import annotations
 
@@ -50,11 +50,12 @@ _MAX_RIG_TIPS = 200
 
 
 class LoopSimulatorNode(BenchNode):
-    """Simulates vehicles and buffer; the contact comes from a rig on loop/wrench.
+    """Simulates vehicles and buffer; a contact rig sends the contact force on loop/wrench.
 
-    It measures bias and noise of the load cell at rest. Then it sends the tip's position on
-    loop/tip with every step, from rest up to the vehicles' first speed and on, and uses the newest
-    wrench. A step that is late shifts all later ones. At a limit it sends the reason on loop/hold,
+    First it measures bias and noise of the rig's load cell at rest. Then it sends the position of
+    the tip on loop/tip with every step, and uses the newest wrench that has arrived. The tip is
+    brought from rest to the speed at which the scene begins during the time ``run_up``. A step that
+    is late shifts all later ones. If a limit is exceeded, the node sends the reason on loop/hold,
     stops and exits with status 1. docs/hardware_in_the_loop.md lists the parameters.
     """
 
@@ -150,7 +151,10 @@ class LoopSimulatorNode(BenchNode):
             self._timing.answered(key, arrival)
 
     def work(self) -> int:
-        """Run the loop to the scene's end; return the exit status."""
+        """Run the loop up to the end of the scene or to a safe stop; return the exit status.
+
+        CaptureSimError if the rig does not answer at rest, or if a file cannot be written.
+        """
         self.freeze_objects()
         stopped, hold = "", "interrupted"
         self._hold("")
@@ -173,7 +177,11 @@ class LoopSimulatorNode(BenchNode):
         return FAILED if stopped else OK
 
     def _write_record(self, stopped: str) -> None:
-        """Write the run with all messages exchanged with the rig; RecordingError if that fails."""
+        """Write a recording of the run, if one is wanted and a step was taken.
+
+        It contains all messages exchanged with the rig.  ``stopped``: why the run was stopped;
+        empty if it was not.  RecordingError if it cannot be written.
+        """
         if self._record is None or self._record_path is None:
             return
         make, run = self.messages, self._record.run(stopped)
@@ -193,7 +201,10 @@ class LoopSimulatorNode(BenchNode):
         self.send(HOLD, message_class(HOLD.type_name)(data=reason))
 
     def _await_rest(self) -> None:
-        """Send the first position until the rig has answered it often enough."""
+        """Send the first position until the rig has answered it N_AT_REST times; begin the loop.
+
+        CaptureSimError if that takes longer than the parameter ``start_timeout``.
+        """
         self.get_logger().info("waiting for wrenches at rest on loop/wrench")
         loop, deadline = self._loop, time.monotonic() + self._start_timeout
         while loop.answers.n_at_rest < N_AT_REST:
@@ -224,7 +235,10 @@ class LoopSimulatorNode(BenchNode):
         )
 
     def _run(self) -> None:
-        """Send a position with each step, up to the end."""
+        """Take the steps at their times up to the end of the scene, and send a position with each.
+
+        SafeStopError at a limit.
+        """
         loop, log = self._loop, self.get_logger()
         if self._priority and (reason := request_priority(self._priority)):
             log.warning(reason)
@@ -250,13 +264,17 @@ class LoopSimulatorNode(BenchNode):
             self._log_notes()
 
     def _log_notes(self) -> None:
-        """Log the loop's notes that are new."""
+        """Log the notes that the loop has made since the last call."""
         for note in self._loop.notes[self._reported_notes :]:
             self.get_logger().warning(note)
         self._reported_notes = len(self._loop.notes)
 
     def _report_result(self, stopped: str) -> None:
-        """Log the results and write the report; RecordingError if that fails."""
+        """Log the results and write the report, if one is wanted.
+
+        ``stopped``: why the run was stopped; empty if it was not.  RecordingError if the report
+        cannot be written.
+        """
         report = report_of(self._loop, self._pacer, self._timing, stopped)
         for line in summary(self._loop, report):
             self.get_logger().info(line)
@@ -273,7 +291,10 @@ class LoopSimulatorNode(BenchNode):
 
 
 def _record_problem(path: Path) -> str:
-    """Return the reason why no run can be recorded in a file or folder; empty if one can."""
+    """Return the reason why no run can be recorded in this file or folder; empty if one can.
+
+    A path that ends in .mcap is a file, any other a folder.
+    """
     return file_problem(path) if path.suffix == ".mcap" else writing_problem(path)
 
 

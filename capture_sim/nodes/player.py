@@ -1,4 +1,4 @@
-"""The node that plays a recording: same bytes, same timing, and no faster than its consumers."""
+"""The node that plays a recording: the same bytes in the same rhythm."""
 
 from __future__ import annotations
 
@@ -39,13 +39,14 @@ ROLES = (CAPTURE_DETECTOR, RECORDER)
 
 
 class PlayerNode(BenchNode):
-    """Publishes the serialised messages of a recording.
+    """Publishes the messages of a recording, byte for byte.
 
-    Topics of the bench have their own quality of service, others are reliable and volatile.
-    Types that are not installed are left out with a warning.  The player waits for the nodes named
-    in ``wait_for`` at the start and never outruns them.  A detector among them evaluates the run
-    again, and the topics that it publishes are not played.  Running recorders take part as well.
-    docs/recording.md explains the options.
+    The topics of the bench are published with their own quality of service, others reliable and
+    volatile.  Topics whose type is not installed are left out with a warning.  At the start the
+    player waits for the nodes named in ``wait_for``; later it waits whenever one of them falls
+    behind.  A detector among them evaluates the run again, and the topics that it publishes are not
+    played.  Recorders that are running take part as well.  The topic launcher/hold is never played,
+    as it moves a real chaser.  docs/recording.md explains the options.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -118,7 +119,12 @@ class PlayerNode(BenchNode):
     # set-up
 
     def _chosen(self, wanted: Sequence[str]) -> list[str]:
-        """Return the names of the topics that are played."""
+        """Return the names of the topics to play.
+
+        ``wanted``: the parameter ``topics``; all of the recording if it is empty.  Left out are
+        launcher/hold and what the nodes in ``wait_for`` publish themselves.  ParameterError if the
+        recording does not contain a wanted topic.
+        """
         there = self._playback.types
         names = [name if name.startswith("/") else f"/{name}" for name in wanted] or list(there)
         unknown = [name for name in names if name not in there]
@@ -158,7 +164,10 @@ class PlayerNode(BenchNode):
     # playing
 
     def work(self) -> int:
-        """Play; return the exit status."""
+        """Play the recording once, with warnings of what is not played; return the exit status.
+
+        It is FAILED if nothing could be played, or if a node in ``wait_for`` stopped reading.
+        """
         for name, reason in self._playback.left_out.items():
             self.get_logger().warning(f"{name}: not played: {reason}")
         for line in (*self._playback.damage, *self._playback.doubts, *self._not_installed):
@@ -177,7 +186,7 @@ class PlayerNode(BenchNode):
         return FAILED if count == 0 or self.topic_publishers.dropped else OK
 
     def _play(self) -> int:
-        """Play; return how many messages were played."""
+        """Play the messages at their times; return how many were played."""
         name = self._playback.path.name
         count = 0
         stamp = self._playback.start
@@ -223,7 +232,11 @@ class PlayerNode(BenchNode):
         return count
 
     def _end_run(self, is_ended: bool) -> None:
-        """Wait until the participants have left the run that is on, which counts may have ended."""
+        """End the run that is on, if one is, and wait until the participants are done with it.
+
+        ``is_ended``: the simulator's counts, which end a run for the participants, have been
+        played.  A trial of a bench, and a recording that breaks off, have none.
+        """
         if not is_ended:  # a bench's trial, or a recording without its end
             self._announcer.close()
         self._announcer.await_done()

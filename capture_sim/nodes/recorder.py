@@ -46,7 +46,7 @@ AFTER_END = {STREAM_COUNTS, *topics_of(LAUNCHER), *topics_of(CAPTURE_DETECTOR)}
 
 
 class RecorderNode(BenchNode, RunPart):
-    """Writes messages to one MCAP file a run, and checks at the end that none is missing."""
+    """Writes the messages of each run to an MCAP file; checks at its end that none is missing."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(RECORDER, **options)
@@ -90,7 +90,7 @@ class RecorderNode(BenchNode, RunPart):
 
     @property
     def run(self) -> Any:
-        """The run that is on, None without one."""
+        """The run that this node takes part in at the moment (AnnouncedRun), or None."""
         return self._follower.run
 
     def work(self) -> int:
@@ -98,7 +98,12 @@ class RecorderNode(BenchNode, RunPart):
         return self._follower.work()
 
     def prepare(self, run: AnnouncedRun) -> None:
-        """Open the file and write the run's description."""
+        """Open the file of a run and write the run's description into it.
+
+        In a trial, also wait for the sensors.  If the file cannot be opened, a trial gets the
+        RecordingError, so that the launcher knows before the release; a simulated run goes on
+        without a recording.
+        """
         for name in sorted(self._sought):
             self.get_logger().warning(f"{run.name}: {name} is not recorded: it has no publisher")
         if run.info.source == RunSource.TRIAL:
@@ -123,9 +128,10 @@ class RecorderNode(BenchNode, RunPart):
             self._write(topic, data)
 
     def _await_sensors(self) -> None:
-        """Wait for a message of each sensor, so that nothing is let go before it is recorded.
+        """Wait until each sensor that is to be recorded has sent, or SOURCES_TIMEOUT has passed.
 
-        A recorder that has just started may know the launcher before it has found the drivers.
+        The launcher does not let the chaser go before this node is ready.  A recorder that has just
+        started may know the launcher before it has found the drivers.
         """
         listed = [
             [topic for topic in topics if topic in self._required]
@@ -138,11 +144,14 @@ class RecorderNode(BenchNode, RunPart):
         self.wait(lambda: self._follower.has_ended or all_heard(), SOURCES_TIMEOUT)
 
     def is_complete(self) -> bool:
-        """Return True if all publishers have ended the run and all their messages have come."""
+        """Return True if the file needs nothing more: all messages have come, or the disk failed.
+
+        All have come if each publisher of the run has sent its counts and as many messages.
+        """
         return bool(self._failure) or (self._recorder is not None and self._recorder.done)
 
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
-        """Close the file and report missing messages."""
+        """Close the file of the run; return its path and what is missing in it."""
         problems = [f"{name}: no message" for name in sorted(self._sought)]
         path = None if self._recorder is None else self._recorder.path
         try:
@@ -166,18 +175,24 @@ class RecorderNode(BenchNode, RunPart):
         return RunReport(tuple(problems), str(path or ""))
 
     def cancel(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
-        """Close the file, if it was opened."""
+        """Leave a run that has not begun or has failed; close the file, if one was opened."""
         return super().cancel(run, end) if self._recorder is None else self.end(run, end)
 
     def _close(self) -> RecordingReport:
-        """Close the file; RecordingError if the disk has failed, now or before."""
+        """Close the file and return what it contains; RecordingError if it cannot be written.
+
+        Also if it could not be opened.
+        """
         if self._recorder is None:
             raise RecordingError(self._failure)
         recorder, self._recorder = self._recorder, None
         return recorder.close()
 
     def _write(self, topic: Topic, data: bytes, arrival: int | None = None) -> None:
-        """Record a message; a disk that fails ends the recording of this run, not the node."""
+        """Write a serialised message to the file of the run; MessageError if it is invalid.
+
+        A disk that fails ends the recording of this run, not the node.
+        """
         if self._failure:
             return
         assert self._recorder is not None
@@ -189,12 +204,19 @@ class RecorderNode(BenchNode, RunPart):
             self._fail_recording(error)
 
     def _fail_recording(self, error: RecordingError) -> None:
-        """Report once in a run why its recording has ended."""
+        """Log why the recording of the run has failed; the first reason goes into its report.
+
+        The process will end with status 1.
+        """
         self._failure = self._failure or one_line(str(error))
         self._follower.fail(self._failure)
 
     def _seek(self) -> None:
-        """Subscribe to the other topics that are published by now."""
+        """Subscribe to those topics of the parameter ``topics`` that have a publisher by now.
+
+        It concerns topics that are not the bench's own, whose types are known only from their
+        publishers.  One whose type is not installed is not recorded, and a warning says so.
+        """
         published = dict(self.get_topic_names_and_types())
         for listed, name in list(self._sought.items()):
             if name in published:
@@ -244,7 +266,7 @@ class RecorderNode(BenchNode, RunPart):
         self._write(topic, data)
 
     def _remapped(self) -> dict[Topic, str]:
-        """Return the names of the bench's topics that this node was remapped to."""
+        """Return the names that ROS remapping gave to topics of the bench, by topic."""
         namespace = self.get_namespace().rstrip("/")
         names = {topic: self.resolve_topic_name(topic.name) for topic in TOPICS}
         return {

@@ -1,4 +1,4 @@
-"""The node that runs the bench and publishes its measurements."""
+"""The node that simulates the bench and publishes its measurements."""
 
 from __future__ import annotations
 
@@ -37,12 +37,13 @@ SWITCH_INTERVAL = 2e-4
 
 
 class SimulatorNode(BenchNode):
-    """Runs scenes one after another.
+    """Simulates scenes one after another and publishes each run.
 
-    Alone, it launches by its own plan; if a launcher is running, the launcher does.  The
-    parameter ``wait_for`` names the nodes that a run waits for.  No subscriber with KEEP_ALL loses
-    a message.  Simulated time starts at the release, so neither a delay before it nor the real-time
-    factor changes a number.
+    If a launcher is running, the launcher arms and releases; otherwise the simulator does so by
+    itself, after the launch plan of the scene.  The parameter ``wait_for`` names the nodes that a
+    run waits for.  No subscriber with history KEEP_ALL loses a message: the simulator waits while
+    such a subscriber reads nothing, for ``reader_timeout`` at most.  Simulated time is zero at the
+    release, so neither a delay before it nor the real-time factor changes a number.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -133,7 +134,11 @@ class SimulatorNode(BenchNode):
                 self._scenes = self._requested
 
     def _request(self, name: str, overrides: list[str]) -> Scene:
-        """Return a scene that is set over the network; one given at the start may be a file."""
+        """Return the scene of a name that is set while the node runs.
+
+        A name that was given at the start may be any file.  Others are packaged scenes or scenes of
+        ``scene_folder``, so that nobody opens other files over the network.
+        """
         if name in self._names_at_start:
             return load_scene(name, overrides)
         return load_requested(name, overrides, self._scene_folder)
@@ -141,7 +146,7 @@ class SimulatorNode(BenchNode):
     # runs
 
     def work(self) -> int:
-        """Run all scenes, as often as requested; return the exit status."""
+        """Run all scenes each time that the state is set to playing; return the exit status."""
         self._compile()
         sys.setswitchinterval(SWITCH_INTERVAL)
         self.freeze_objects()
@@ -163,7 +168,7 @@ class SimulatorNode(BenchNode):
         return self.exit_status
 
     def _compile(self) -> None:
-        """Load the kernels; compile them if this version never was, and log how far that is."""
+        """Load the compiled kernels; if there are none yet, compile them and log the progress."""
         if is_compiled():
             compile_kernels()
             return
@@ -180,7 +185,11 @@ class SimulatorNode(BenchNode):
         self.get_logger().info(f"compiled in {time.monotonic() - began:.0f} s")
 
     def _run_all(self) -> bool:
-        """Run the scenes in turn; return False if a request has ended that."""
+        """Run the scenes in turn; return False if they did not come to their end.
+
+        They do not if the simulation is stopped, the node is to quit, or a trial of a real bench
+        is on.  A run that is reset begins anew.
+        """
         for scene in self._scenes:
             outcome, failed = RunOutcome(cut=CutKind.RESET), False
             while outcome.cut is CutKind.RESET:
@@ -204,7 +213,11 @@ def _load(
     overrides: Sequence[str],
     load: Callable[[str, list[str]], Scene],
 ) -> list[Scene]:
-    """Return the scenes; reject a scene that could not be launched."""
+    """Return the scenes of these names with the overrides.
+
+    CaptureSimError if a scene cannot be loaded or launched, if none is named, or if two experiments
+    have the same name.
+    """
     if not names:
         raise ParameterError("parameter scenes = []: must be names of scenes, one at least")
     scenes = [load(name, list(overrides)) for name in names]

@@ -1,4 +1,7 @@
-"""The nodes' programs: until a node is loaded, Ctrl-C ends its process at once."""
+"""The programs of the nodes, as functions that load a node and run it.
+
+Until a node is loaded, Ctrl-C ends its process at once.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +17,11 @@ from capture_sim.errors import explain_import_error
 
 
 def start(name: str) -> int:
-    """Load a node and run it as this process; return the exit status.
+    """Load the node of this name and run it in this process; return the exit status.
 
-    Loading takes seconds on a busy computer.  Nothing needs an orderly shutdown yet, and an
-    exception would be lost or end in a traceback within an import.
+    Loading takes seconds on a busy computer, and an import that Ctrl-C interrupts loses the
+    exception or ends in a traceback.  So until the node is loaded, SIGINT and SIGTERM end the
+    process at once: nothing needs an orderly shutdown yet.
     """
     for signum in (signal.SIGINT, signal.SIGTERM):
         signal.signal(signum, lambda signum, frame: os._exit(OK))

@@ -1,8 +1,8 @@
-"""The node that shows a run live; it needs rerun, and takes no part in the run.
+"""The node that shows runs live in rerun.
 
 From a simulator it reads BenchState, which contains the full state of an instant.  From a real
-bench, whose geometry ``scene`` gives, it reads poses, buffer, contact and string.  No node waits
-for the viewer: messages that arrive too fast are not shown.
+bench, whose geometry the parameter ``scene`` gives, it reads poses, buffer, contact and string.
+No node waits for the viewer: of messages that arrive faster than they are shown, some are skipped.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _UNKNOWN = (math.nan, math.nan, math.nan)
 
 
 class ViewerNode(BenchNode, RunPart):
-    """Shows every announced run live in rerun, or a bench that announces none.
+    """Shows every announced run live in rerun, or a bench where no node announces runs.
 
     docs/looking_at_runs.md lists the parameters.
     """
@@ -109,7 +109,7 @@ class ViewerNode(BenchNode, RunPart):
 
     @property
     def run(self) -> Any:
-        """The run that is on, None without one."""
+        """The run that is shown at the moment (AnnouncedRun), or None."""
         return self._follower.run
 
     def work(self) -> int:
@@ -117,13 +117,16 @@ class ViewerNode(BenchNode, RunPart):
         return self._follower.work()
 
     def prepare(self, run: AnnouncedRun) -> None:
-        """Begin to show the run that is announced."""
+        """Begin to show a run that was announced."""
         self._unannounced = False
         self._scene = run.scene
         self._start(run.name)
 
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
-        """Show the rest of the run; that something was not shown is no failure."""
+        """Show what has arrived and is not shown yet.
+
+        The report that is returned is always empty: that something was not shown is no failure.
+        """
         self._show_pending()
         self._show_verdict()
         self._view.show()
@@ -132,7 +135,7 @@ class ViewerNode(BenchNode, RunPart):
         return RunReport()
 
     def close(self) -> None:
-        """End the server of the recordings too."""
+        """End the node and the server that rerun's window reads from."""
         self._view.close()
         super().close()
 
@@ -144,7 +147,11 @@ class ViewerNode(BenchNode, RunPart):
         self._view.begin(name, self._scene, measured=self._geometry is not None)
 
     def _is_shown(self, topic: Topic, data: bytes) -> bool:
-        """Return True if a message is shown, by its first bytes."""
+        """Return True if this message is to be shown, judged by the stamp in its first bytes.
+
+        Of each period of 1 / ``rate``, only the first message of a topic is.  Without an announced
+        run, none is, unless the parameter ``scene`` gives a bench's geometry.
+        """
         slot = math.floor(1e-9 * (stamp_of(topic, data) or 0) / self._period + 1e-6)
         if slot == self._last_slot.get(topic) or (
             self.run is None and not self._begin_unannounced()
@@ -181,7 +188,11 @@ class ViewerNode(BenchNode, RunPart):
         self._newest[what] = [*self._newest.get(what, [])[-1:], (stamp, content)]
 
     def _begin_unannounced(self) -> bool:
-        """Show a bench that announces no run, if its geometry is known."""
+        """Begin to show a bench where no node announces runs; return False if that is not possible.
+
+        It is possible if the parameter ``scene`` gives the geometry; if it has begun, nothing is
+        done.
+        """
         if self._unannounced or self._geometry is None:
             return self._unannounced
         self._unannounced = True
@@ -191,7 +202,11 @@ class ViewerNode(BenchNode, RunPart):
         return True
 
     def _show_pending(self) -> None:
-        """Show the last instant of the chaser's pose."""
+        """Show the bench at the last measured pose of the chaser.
+
+        Of each other quantity, the message nearest in time is shown.  Nothing is shown before each
+        source has sent one.
+        """
         if not set(Source) <= self._newest.keys():
             return
         stamp, _ = self._newest[Source.CHASER][-1]
@@ -204,7 +219,11 @@ class ViewerNode(BenchNode, RunPart):
         self._view.take(measured_samples(self._scene, t, _series_at(t, observation, parts)))
 
     def _since_start(self, t: float) -> float:
-        """Return s since the release; since the first message of a bench that announces none."""
+        """Return the time to show for a time ``t`` of the messages, s.
+
+        In an announced run it is ``t`` itself.  Without one it is the time since the first instant
+        that was shown.
+        """
         if not self._unannounced:
             return t
         if self._zero is None:
@@ -235,7 +254,12 @@ class ViewerNode(BenchNode, RunPart):
 
 
 def _series_at(t: np.ndarray, observation: Observation, parts: dict[Any, Any]) -> dict[str, Series]:
-    """Return the measurements of one instant as series by quantity."""
+    """Return the measurements of one instant as series of one value, by quantity.
+
+    ``t``: its time, s, (1,).  ``observation``: poses and buffer.  ``parts``: the messages of that
+    instant by topic, of which contact, force and string are used if there are any.  Rates that were
+    not measured are NaN for the vehicles and 0 for the buffer.
+    """
     rates: dict[str, Any] = {"chaser_rate": _UNKNOWN, "target_rate": _UNKNOWN}
     rates |= {"stroke_rate": 0.0, "torsion_rate": 0.0}
     if observation.has_rates:

@@ -1,4 +1,4 @@
-"""Rules of the buffer: do poses and encoders agree where the tip is?"""
+"""Rules of the buffer: do the vehicles' poses and the buffer's encoders agree with each other?"""
 
 from __future__ import annotations
 
@@ -12,28 +12,43 @@ from capture_sim.plausibility.motion import N_SMOOTH, MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
 from capture_sim.plausibility.signals import smooth
 
-#: Least depth of the tip in a wall that contradicts the buffer, m: frames of rigid bodies, noise.
+#: Least depth of the tip in a wall that contradicts the buffer, m.  Errors of the base frames and
+#: noise make up to about 2 mm.
 MIN_DEPTH = 4e-3
-#: ... and in standard deviations of a pose, of which nine are averaged.
+#: The depth must also exceed this number of standard deviations of a single pose.  The depth is a
+#: running median of nine poses, and thus less noisy.
 _DEVIATIONS = 2.5
-#: Bounds of the spring's impulse over the chaser's change of momentum: k_A may be off by a third.
+#: Bounds of :func:`spring_ratio`, the spring's impulse over the chaser's change of momentum, which
+#: is about 1.  They are wide, because k_A may be wrong by a third.
 SPRING_LOW, SPRING_HIGH = 0.15, 5.0
-#: A buffer that moves by less has not moved, m and rad.
+#: A stroke (m) and a torsion (rad) that vary by less than this count as not moving.
 _STANDS = (3e-4, 1e-3)
 #: Lags between poses and buffer that are tried, s.
 _LAGS = np.arange(-0.5, 0.501, 0.01)
 
 
 class Contradiction(NamedTuple):
-    """Poses that have the tip inside of a wall though the buffer says otherwise."""
+    """A contradiction between the vehicles' poses and the buffer's encoders.
+
+    Either the poses and the encoders together place the tip inside of a wall, or the encoder's
+    stroke does not fit the chaser's change of momentum.
+
+    ``kind`` is the likely cause: "stuck" if an encoder does not move, "inverted" if it has the
+    wrong sign, "lag" if its times are shifted against those of the poses, or "other".
+    """
 
     kind: str  # "stuck", "inverted", "lag" or "other"
     text: str  # value and expectation
-    detail: str
+    detail: str  # names of the encoders; the size of the shift for "lag"; may be empty for "other"
 
 
 def find_contradiction(motion: MeasuredMotion) -> Contradiction | None:
-    """Return the contradiction of poses and buffer; None without."""
+    """Return the contradiction between poses and encoders; None if there is none.
+
+    None also without a scene, without poses of both vehicles, or without states of the buffer.  The
+    chaser's change of momentum is compared first, the position of the tip only if that fits or is
+    not known.
+    """
     if motion.pair is None or motion.scene is None or motion.buffer is None:
         return None
     at = motion.deflections_at(motion.pair.t)
@@ -83,7 +98,11 @@ def find_contradiction(motion: MeasuredMotion) -> Contradiction | None:
 
 
 def _deepest(motion: MeasuredMotion, stroke: np.ndarray, torsion: np.ndarray) -> float:
-    """Return the largest running median of the tip's depth in a wall, m; at least 0."""
+    """Return the largest running median of the tip's depth in a wall, m; 0 if it is in no wall.
+
+    ``stroke`` (m) and ``torsion`` (rad), (n,) each, are those at the times of ``motion.pair``; NaN
+    where the encoders have a gap.  These times are left out.
+    """
     depth = motion.depth(stroke, torsion)
     known = depth[np.isfinite(stroke)]
     smoothed = smooth(known, N_SMOOTH)
@@ -110,7 +129,7 @@ def _contradicted(motion: MeasuredMotion, kind: str) -> Iterator[tuple[str, Cont
     needs_poses=True,
 )
 def buffer_stuck(motion: MeasuredMotion) -> Iterator[Said]:
-    """An encoder that does not move though the tip is pressed in."""
+    """Yield a finding if an encoder of the buffer does not move though the probe is compressed."""
     for topic, found in _contradicted(motion, "stuck"):
         yield Said(
             topic,
@@ -129,7 +148,7 @@ def buffer_stuck(motion: MeasuredMotion) -> Iterator[Said]:
     needs_poses=True,
 )
 def buffer_inverted(motion: MeasuredMotion) -> Iterator[Said]:
-    """An encoder with the opposite sign."""
+    """Yield a finding if an encoder of the buffer seems to have the opposite sign."""
     for topic, found in _contradicted(motion, "inverted"):
         yield Said(
             topic,
@@ -148,7 +167,10 @@ def buffer_inverted(motion: MeasuredMotion) -> Iterator[Said]:
     needs_poses=True,
 )
 def buffer_against_poses(motion: MeasuredMotion) -> Iterator[Said]:
-    """Poses and buffer that contradict each other."""
+    """Yield a finding if poses and buffer contradict each other for another reason.
+
+    That is neither an encoder that does not move nor one with the opposite sign.
+    """
     for kind in ("lag", "other"):
         for topic, found in _contradicted(motion, kind):
             cause = (

@@ -1,10 +1,9 @@
-"""The check: which rules do these measurements break?
+"""The check of measurements: which rules of plausibility do they break?
 
-Offline, :func:`check` looks at a whole recording.  Live, a node keeps the last seconds in a
-:class:`capture_sim.plausibility.live.LiveMeasurements` and calls the same function with what that
-returns: before the release nothing moves and nothing touches, so that the rules of units, frames,
-clocks and sources speak, and in flight those of the buffer and the force, too.  A rule whose
-evidence is missing says nothing.
+Offline, :func:`check` is called with the measurements of a whole recording.  A running node keeps
+the last seconds of messages in a :class:`capture_sim.plausibility.live.LiveMeasurements`, and calls
+:func:`check` with them.  All rules are checked in both cases.  A rule that lacks the measurements
+to decide finds nothing, e.g. a rule that needs a contact while the vehicles are at rest.
 
     doubts = check(live.measured(), scene, waived=("frames_differ",))
     refused = [doubt for doubt in doubts if doubt.grade is Grade.REFUSED]  # do not release
@@ -24,7 +23,7 @@ from capture_sim.plausibility.rules import RULES, Doubt, Grade, Rule, broken
 from capture_sim.scene.parts import Scene
 
 _GRADES = list(Grade)
-#: The modules of rules, those that others rest on first.
+#: The modules of rules in the order of their check: each may rely on those before it.
 _MODULES = [module.__name__ for module in (sources, units, frames, clocks, buffer, force)]
 
 
@@ -40,21 +39,21 @@ RULES.update(_in_order)
 def check(
     measured: Measured, scene: Scene | None = None, waived: Collection[str] = ()
 ) -> tuple[Doubt, ...]:
-    """Return the doubts about measurements, the gravest first.
+    """Return the doubts about measurements, the gravest grade first; empty if no rule is broken.
 
     Parameters
     ----------
     measured
-        A whole recording, or the last seconds.
+        Measurements of a whole recording, or of the last seconds.
     scene
-        Geometry of the bench; None to skip the rules that need it.
+        Scene of the bench; None to skip the rules that need one.
     waived
         Names of rules that are not checked.
 
     Raises
     ------
     SceneError
-        A waived rule does not exist.
+        A name in ``waived`` is not that of a rule.
     """
     check_names(waived)
     doubts = tuple(broken(MeasuredMotion(measured, scene), waived))
@@ -62,7 +61,7 @@ def check(
 
 
 def check_names(waived: Collection[str]) -> None:
-    """Raise SceneError if a waived rule does not exist."""
+    """Raise SceneError if a name in ``waived`` is not that of a rule."""
     unknown = [name for name in waived if name not in RULES]
     if unknown:
         raise SceneError(f"rule {unknown[0]!r}: not found; rules: {', '.join(RULES)}")
@@ -74,7 +73,7 @@ def rules_with_scene() -> list[str]:
 
 
 def table_of_rules() -> str:
-    """Return all rules as a table of Markdown, for the documentation."""
+    """Return all rules as a table in Markdown, for the documentation."""
     head = "| rule | grade | compares | broken | reason of the threshold |\n|---|---|---|---|---|\n"
     return head + "".join(
         f"| `{each.name}` | {each.grade} | {each.compares} | {each.threshold} | {each.reason} |\n"

@@ -1,4 +1,4 @@
-"""Rules of clocks: do all sources stamp by one clock that runs as time does?"""
+"""Rules of clocks: do all sources stamp by one clock, and does it run at the right rate?"""
 
 from __future__ import annotations
 
@@ -15,40 +15,46 @@ from capture_sim.plausibility.rules import Grade, Said, rule
 #: An offset between the sources' clocks beyond this is reported, s.  Latencies of drivers are up to
 #: about 0.03 s.
 WARN_OFFSET = 0.05
-#: Beyond this there is no verdict, s: at 0.1 m/s it moves the tip by 20 mm.
+#: An offset beyond this refuses the run, s: at 0.1 m/s it moves the tip by 20 mm.
 MAX_OFFSET = 0.2
 #: Contacts that sources see further apart than this are doubted, s.
 _CONTACT_OFFSET = 0.08
-#: Rates of two clocks that differ by more are doubted, and the offset that this must make, s.
+#: A clock is doubted if its rate differs by more than the first number, and if this makes an
+#: offset of more than the second number, s, in the recording.
 _DRIFT, _DRIFTED = 2e-4, 2e-3
 #: Blocks of a recording for the drift of a clock.
 _BLOCKS = 10
-#: Stamps that advance with arrivals are a bench's: then no message comes too early.
+#: Stamps by a clock that runs as arrivals do advance by this much in a second of arrivals.
 _LIVE_RATES = (0.8, 1.25)
 #: A bench's stamps may advance at another rate, as tests and paced replays have it: beyond this
 #: rate arrivals say nothing.
 _MAX_RATE = 10.0
-#: Messages before and after a step of a clock that show it, and how long at most they are used, s
-#: (arrival): longer than transports hold messages back.
+#: Least number of messages on either side of a step of a clock, and the time by arrival from which
+#: they are taken on either side, s: longer than transports hold messages back.
 _N_STEPPED, _STEP_WINDOW = 7, 5.0
-#: The fastest message on either side is this one, as the first ones may have wild stamps.
+#: The message with this rank counts as the fastest on either side of a step: those with the ranks
+#: before it may have wild stamps.
 _FASTEST = 3
-#: Share of repeated stamps that is reported, and that leaves no series.
+#: Share of repeated stamps above which they are noted, and above which the run is refused.
 _REPEATS_REPORTED, _REPEATS_REJECTED = 0.02, 0.5
-#: A clock since boot is below this, s; a wall clock above.
+#: A clock that counts from the boot of a machine is below this, s; a wall clock is above.
 _BOOT = 3e8
 
 
 class _Clock(NamedTuple):
-    """The clock of a source."""
+    """The clock by which a source stamps its messages."""
 
     channel: Channel
-    offset: float  # s, stamp less arrival of the fastest messages
-    stamp: float  # s, of the first message
+    offset: float  # s, stamp less arrival of the fastest messages, or ahead of another source
+    stamp: float  # s, of the first message, in that clock
 
 
 def _rate_of(channel: Channel) -> float:
-    """Return by how much stamps advance in a second of arrivals; one step does not count."""
+    """Return by how much a source's stamps advance in a second of arrivals; 0 if not known.
+
+    It is the median over pairs of messages a quarter of the recording apart, so that a single step
+    of the clock has little influence.
+    """
     lag = max(channel.count // 4, 1)
     passed = channel.t[lag:] - channel.t[:-lag]
     waited = channel.arrival[lag:] - channel.arrival[:-lag]
@@ -57,7 +63,11 @@ def _rate_of(channel: Channel) -> float:
 
 
 def _timed(motion: MeasuredMotion) -> list[tuple[Channel, float]]:
-    """Return the sources whose clock can be compared, each with its rate, see _rate_of."""
+    """Return the sources whose clocks can be compared, each with its rate by :func:`_rate_of`.
+
+    A source needs ``MIN_MESSAGES`` messages with known arrivals, and at most half of its stamps may
+    be 0.
+    """
     return [
         (channel, motion.once(f"rate {channel.topic}", partial(_rate_of, channel)))
         for channel in motion.measured.channels
@@ -66,7 +76,7 @@ def _timed(motion: MeasuredMotion) -> list[tuple[Channel, float]]:
 
 
 def _clocks(motion: MeasuredMotion) -> list[_Clock]:
-    """Return the clocks that run as arrivals do."""
+    """Return the clocks that run at about the rate of arrivals, see ``_LIVE_RATES``."""
     found = []
     for channel, rate in _timed(motion):
         if _LIVE_RATES[0] <= rate <= _LIVE_RATES[1]:
@@ -77,9 +87,11 @@ def _clocks(motion: MeasuredMotion) -> list[_Clock]:
 
 
 def _offsets(motion: MeasuredMotion) -> Iterator[tuple[_Clock, float]]:
-    """Yield each clock with its offset from the reference, s.
+    """Yield each clock with its offset from the reference, s, positive if it is ahead.
 
-    That is one with which most others agree, of these the one nearest to arrivals.
+    The reference is the clock with which most other clocks agree.  If several have as many, it is
+    the one nearest to arrivals.  If fewer than two clocks run at about the rate of arrivals, the
+    offsets are those of :func:`_offsets_at_a_rate`.
     """
     clocks = _clocks(motion)
     if len(clocks) < 2:
@@ -96,10 +108,11 @@ def _offsets(motion: MeasuredMotion) -> Iterator[tuple[_Clock, float]]:
 
 
 def _offsets_at_a_rate(motion: MeasuredMotion) -> Iterator[tuple[_Clock, float]]:
-    """Yield clocks of a bench that is faster or slower than time, with their offsets, s.
+    """Yield the clocks of a bench that runs faster or slower than arrivals, with their offsets, s.
 
-    The latest stamp of one source is compared with that of another in the same moment.  What
-    arrives in batches scatters; offsets are reduced by that.
+    Such a bench is e.g. a recording that is replayed at another speed.  Stamp less arrival then
+    grows with time, so that the latest stamps of two sources are compared at the same moment, see
+    :func:`_lead`.  Clocks whose rate differs from the common one are left out.
     """
     timed = [(c, rate) for c, rate in _timed(motion) if 1.0 / _MAX_RATE <= rate <= _MAX_RATE]
     if len(timed) < 2:
@@ -123,7 +136,12 @@ def _offsets_at_a_rate(motion: MeasuredMotion) -> Iterator[tuple[_Clock, float]]
 
 
 def _lead(channel: Channel, other: Channel) -> float:
-    """Return by how much a source's stamps are ahead of another's, less their scatter, s."""
+    """Return by how much the stamps of ``channel`` are ahead of those of ``other``, s.
+
+    It is the median difference between a message's stamp and the latest stamp of ``other`` at its
+    arrival.  Its size is reduced by the scatter of the differences, to 0 at least, because messages
+    may arrive in batches.  0 also if too few messages can be compared.
+    """
     order, arrival = np.argsort(channel.arrival, kind="stable"), np.sort(channel.arrival)
     latest = np.searchsorted(np.sort(other.arrival), arrival, side="right") - 1
     stamps = other.t[np.argsort(other.arrival, kind="stable")]
@@ -142,7 +160,7 @@ def _lead(channel: Channel, other: Channel) -> float:
     reason="at 0.1 m/s this moves the tip by 20 mm, four capture radii",
 )
 def clocks_apart(motion: MeasuredMotion) -> Iterator[Said]:
-    """A source with another clock: an hour apart, or since boot."""
+    """Yield a finding for each source whose clock is more than ``MAX_OFFSET`` off the reference."""
     for clock, offset in _offsets(motion):
         if abs(offset) > MAX_OFFSET:
             cause = "synchronise the drivers' clocks (chrony, PTP)"
@@ -163,7 +181,7 @@ def clocks_apart(motion: MeasuredMotion) -> Iterator[Said]:
     reason="latencies of drivers are up to 0.03 s; 0.05 s moves the tip by 5 mm at 0.1 m/s",
 )
 def clock_offset(motion: MeasuredMotion) -> Iterator[Said]:
-    """A source whose clock is a little off."""
+    """Yield a finding for each source whose clock is off by ``WARN_OFFSET`` to ``MAX_OFFSET``."""
     for clock, offset in _offsets(motion):
         if WARN_OFFSET < abs(offset) <= MAX_OFFSET:
             yield Said(
@@ -183,7 +201,7 @@ def clock_offset(motion: MeasuredMotion) -> Iterator[Said]:
     "ones know nothing",
 )
 def clock_steps(motion: MeasuredMotion) -> Iterator[Said]:
-    """A source whose clock was set."""
+    """Yield a finding for each source whose clock was set to another time in the recording."""
     for channel, rate in _timed(motion):
         step, other = _step(channel, rate), _rate_between_ends(channel)
         if step != 0.0 and not _LIVE_RATES[0] <= other / rate <= _LIVE_RATES[1]:
@@ -203,7 +221,11 @@ def _rate_between_ends(channel: Channel) -> float:
 
 
 def _step(channel: Channel, rate: float) -> float:
-    """Return by how much a source's clock was set, s; 0 if it was not."""
+    """Return the first step of a source's clock, s, positive if it was set forwards; 0 if none.
+
+    ``rate`` is by how much the stamps advance in a second of arrivals.  Steps of up to
+    ``MAX_OFFSET`` are ignored.
+    """
     advance = np.diff(channel.t)
     jump = advance - rate * np.diff(channel.arrival)
     jumped = (jump > MAX_OFFSET) | ((jump < -MAX_OFFSET) & (advance < 0.0))
@@ -222,7 +244,11 @@ def _step(channel: Channel, rate: float) -> float:
 
 
 def _runs(channel: Channel, side: np.ndarray, rate: float) -> bool:
-    """Return True if enough messages arrive as they are stamped, and not all at once."""
+    """Return True if the messages of one side of a step show the clock's offset.
+
+    ``side`` (n,) bool marks them.  There must be enough of them, and they must not have arrived in
+    much less time than their stamps span, as messages do that were held back.
+    """
     if side.sum() < _N_STEPPED:
         return False
     stamped, waited = np.ptp(channel.t[side]), np.ptp(channel.arrival[side])
@@ -237,7 +263,10 @@ def _runs(channel: Channel, side: np.ndarray, rate: float) -> bool:
     reason="quartz clocks differ by less than 100 ppm; 2 ms are 0.2 mm at 0.1 m/s",
 )
 def clock_drifts(motion: MeasuredMotion) -> Iterator[Said]:
-    """A source whose clock runs fast or slow."""
+    """Yield a finding for each source whose clock runs faster or slower than the others.
+
+    The rates are compared with their median; of two sources, with the rate nearer to arrivals.
+    """
     lines = {clock.channel.topic: _rate(clock.channel) for clock in _clocks(motion)}
     if len(lines) < 2:
         return
@@ -256,7 +285,12 @@ def clock_drifts(motion: MeasuredMotion) -> Iterator[Said]:
 
 
 def _rate(channel: Channel) -> tuple[float, float, float]:
-    """Return a clock's rate less 1, the scatter around it (s), and the duration (s)."""
+    """Return a clock's rate by arrivals less 1, its scatter (s), and the recording's duration (s).
+
+    The rate is the slope of a line through stamp less arrival of the fastest message in each tenth
+    of the recording.  The scatter is the largest distance from that line.  If too few tenths have
+    messages, the rate is 0 and the scatter infinite.
+    """
     duration = float(channel.arrival.max() - channel.arrival.min())
     offset = channel.t - channel.arrival
     edges = np.linspace(channel.arrival.min(), channel.arrival.max(), _BLOCKS + 1)
@@ -277,7 +311,7 @@ def _is_unset(motion: MeasuredMotion, channel: Channel) -> bool:
 
 
 def _unset(motion: MeasuredMotion, channel: Channel) -> np.ndarray:
-    """Return True for each stamp that is 0, (n,) bool."""
+    """Return True for each stamp that is 0 to within 1 ms, (n,) bool."""
     return np.asarray(np.abs(channel.t + motion.measured.origin / 1e9) < 1e-3)
 
 
@@ -289,7 +323,7 @@ def _unset(motion: MeasuredMotion, channel: Channel) -> np.ndarray:
     reason="0 means 'not set' in ROS: the times of the measurements are unknown",
 )
 def stamps_unset(motion: MeasuredMotion) -> Iterator[Said]:
-    """A driver that sets no stamps."""
+    """Yield a finding for each source of whose stamps more than half are 0."""
     for channel in motion.measured.channels:
         if _is_unset(motion, channel):
             number = int(_unset(motion, channel).sum())
@@ -307,7 +341,7 @@ def stamps_unset(motion: MeasuredMotion) -> Iterator[Said]:
     reason="0 means 'not set' in ROS",
 )
 def stamp_unset(motion: MeasuredMotion) -> Iterator[Said]:
-    """A driver that sets no stamp in some messages."""
+    """Yield a finding for each source of whose stamps some are 0, but at most half."""
     for channel in motion.measured.channels:
         number = int(_unset(motion, channel).sum())
         if number and not _is_unset(motion, channel):
@@ -315,7 +349,10 @@ def stamp_unset(motion: MeasuredMotion) -> Iterator[Said]:
 
 
 def _repeated(channel: Channel) -> float:
-    """Return the share of messages whose stamp came before though their values differ."""
+    """Return the share of messages that repeat a stamp with other values; 0 if n is too small.
+
+    The messages are compared with those before them in the order of stamps.
+    """
     if channel.count < MIN_MESSAGES:
         return 0.0
     order = np.argsort(channel.t, kind="stable")
@@ -332,7 +369,7 @@ def _repeated(channel: Channel) -> float:
     reason="the times of the measurements are unknown",
 )
 def stamps_stand(motion: MeasuredMotion) -> Iterator[Said]:
-    """A clock that stands."""
+    """Yield a finding for each source of whose stamps more than half repeat an earlier one."""
     for channel in motion.measured.channels:
         share = motion.once(f"repeated {channel.topic}", partial(_repeated, channel))
         if share > _REPEATS_REJECTED and not _is_unset(motion, channel):
@@ -351,7 +388,7 @@ def stamps_stand(motion: MeasuredMotion) -> Iterator[Said]:
     reason="single ones occur where two messages are stamped in one tick",
 )
 def stamps_repeat(motion: MeasuredMotion) -> Iterator[Said]:
-    """Stamps that repeat: of equal ones the first message counts."""
+    """Yield a finding for each source of whose stamps 2 % to 50 % repeat an earlier one."""
     for channel in motion.measured.channels:
         share = motion.once(f"repeated {channel.topic}", partial(_repeated, channel))
         if _REPEATS_REPORTED < share <= _REPEATS_REJECTED and not _is_unset(motion, channel):
@@ -373,7 +410,12 @@ def stamps_repeat(motion: MeasuredMotion) -> Iterator[Said]:
     needs_poses=True,
 )
 def contact_times(motion: MeasuredMotion) -> Iterator[Said]:
-    """Sources that see the contact at different times."""
+    """Yield one finding if the sources show the first contact at different times.
+
+    Buffer and force are each compared with the time in which poses allow a contact.  If both agree
+    with it, or if there is no such time, a force that begins later than the buffer is reported.  A
+    force that begins earlier is not: a stiff buffer need not yield to the first touch.
+    """
     seen = motion.contacts
     first, last = motion.near_time, seen.get("poses")
     for name in ("buffer", "force"):

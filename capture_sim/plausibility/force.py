@@ -12,18 +12,20 @@ from capture_sim.plausibility.motion import MIN_MESSAGES, N_SMOOTH, MeasuredMoti
 from capture_sim.plausibility.rules import Grade, Said, rule
 from capture_sim.plausibility.signals import baseline, noise, smooth
 
-#: Drift of the sensor's zero that is reported, N and N/s.
+#: A drift of the sensor's zero is reported above these, N and N/s.
 _DRIFT, _DRIFT_RATE = 1.0, 0.1
-#: Before a release: largest zero of the sensor, N, largest force besides it, N, and the latest
-#: time that is looked at, s.
+#: Before a release: largest zero of the sensor, N (newtons), largest change of the force from that
+#: zero, N, and the time before the latest message in which both are measured, s.
 MAX_ZERO, MAX_REST_FORCE, REST_TIME = 50.0, 3.0, 0.5
-#: Equal largest values that show saturation: in a row, and more than in other rows, or at times.
+#: Saturation shows in this number of successive samples with the same largest value, or in that
+#: value being reached this number of times.
 _SATURATED, _TIMES = 4, 4
 #: A force that begins while the tip is further than this from the walls has another cause, m.
 _FAR = 0.02
-#: Poses around that begin must not be further apart, s.
+#: The two poses around the begin of the force must not be further apart than this, s.
 _NEAR_TIME = 0.1
-#: Impulse over change of momentum: bounds of what friction and sampling explain.
+#: Bounds of :func:`force_ratio`, the force's impulse over the chaser's change of momentum, which is
+#: about 1.  Friction and sampling explain values within them.
 _SIGN, _SMALL, _LARGE = -0.3, 0.05, 20.0
 
 
@@ -35,7 +37,7 @@ _SIGN, _SMALL, _LARGE = -0.3, 0.05, 20.0
     reason="a force in unknown axes has no direction",
 )
 def force_frame(motion: MeasuredMotion) -> Iterator[Said]:
-    """A force in unknown axes."""
+    """Yield a finding if the frame of the force is unknown, or if its messages name several."""
     force = motion.measured.force
     if force is not None and force.count and frame_of(force.frame_ids) is None:
         names = " and ".join(repr(name) for name in force.frame_ids)
@@ -50,7 +52,7 @@ def force_frame(motion: MeasuredMotion) -> Iterator[Said]:
     reason="the axes are not known; target/cone is assumed",
 )
 def force_frame_empty(motion: MeasuredMotion) -> Iterator[Said]:
-    """A force without a frame."""
+    """Yield a finding if no message of the force names a frame."""
     force = motion.measured.force
     if force is not None and force.count and not any(force.frame_ids):
         yield Said(
@@ -68,7 +70,7 @@ def force_frame_empty(motion: MeasuredMotion) -> Iterator[Said]:
     reason="noise never repeats a largest value; a cell that repeats samples repeats others too",
 )
 def force_saturated(motion: MeasuredMotion) -> Iterator[Said]:
-    """A load cell at the end of its range."""
+    """Yield a finding for each of force.x and force.y that reaches the end of the cell's range."""
     force = motion.force
     if force is None:
         return
@@ -91,7 +93,7 @@ def force_saturated(motion: MeasuredMotion) -> Iterator[Said]:
 
 
 def _rows(is_so: np.ndarray) -> np.ndarray:
-    """Return the lengths of the rows of True in (n,) bool."""
+    """Return the lengths of all series of successive True in ``is_so`` (n,) bool, as (k,) int."""
     ends = np.flatnonzero(np.diff(np.concatenate([[0], is_so.astype(np.int8), [0]])))
     return np.asarray(ends[1::2] - ends[::2])
 
@@ -105,7 +107,7 @@ def _rows(is_so: np.ndarray) -> np.ndarray:
     "mean force",
 )
 def force_drifts(motion: MeasuredMotion) -> Iterator[Said]:
-    """A load cell whose zero drifts by more than the contact's force bears."""
+    """Yield a finding if the load cell's zero drifts too far before the first contact."""
     force = motion.force
     if force is None:
         return
@@ -138,7 +140,13 @@ def force_drifts(motion: MeasuredMotion) -> Iterator[Said]:
     "and a warm-up drifts by 0.02 N meanwhile; a hand or a cable at the cone is more",
 )
 def force_at_rest(motion: MeasuredMotion) -> Iterator[Said]:
-    """A cone that something pushes, or a load cell that was not tared, before a release."""
+    """Yield a finding if the load cell shows a force before a release, when nothing may touch it.
+
+    It is checked only if ``Measured.is_before_release`` is True, on the last 0.5 s.  There the
+    cell's zero is the median of each component.  A zero above 50 N (newtons) means that the cell
+    was not tared.  A running median of nine samples that departs from the zero by more than 3 N and
+    3 standard deviations means that something pushes the cone.  Both findings are possible.
+    """
     force = motion.measured.force
     if force is None or not motion.measured.is_before_release:
         return
@@ -173,7 +181,7 @@ def force_at_rest(motion: MeasuredMotion) -> Iterator[Said]:
     needs_poses=True,
 )
 def force_without_contact(motion: MeasuredMotion) -> Iterator[Said]:
-    """A force where poses allow no contact."""
+    """Yield a finding if the force begins while the tip is far from the walls by poses."""
     begin = motion.force_onset
     if motion.force is None or begin is None or motion.pair is None:
         return
@@ -200,7 +208,7 @@ def force_without_contact(motion: MeasuredMotion) -> Iterator[Said]:
     needs_poses=True,
 )
 def force_inverted(motion: MeasuredMotion) -> Iterator[Said]:
-    """A load cell with the opposite sign."""
+    """Yield a finding if the load cell seems to have the opposite sign."""
     ratio = motion.once("impulse", lambda: force_ratio(motion))
     if ratio is not None and ratio < _SIGN and motion.force is not None:
         yield Said(
@@ -220,7 +228,10 @@ def force_inverted(motion: MeasuredMotion) -> Iterator[Said]:
     needs_poses=True,
 )
 def force_scale(motion: MeasuredMotion) -> Iterator[Said]:
-    """A force in kN, or no force at all in a contact."""
+    """Yield a finding if the force is far too small or too large for the chaser's momentum.
+
+    It may then be in another unit, or the load cell may not be in the path of the force.
+    """
     ratio = motion.once("impulse", lambda: force_ratio(motion))
     if ratio is None or motion.force is None or not (abs(ratio) < _SMALL or ratio > _LARGE):
         return

@@ -1,4 +1,4 @@
-"""Rules of frames: are poses those of the base frames, in one world whose z axis points up?"""
+"""Rules of frames: are poses those of the base frames, in one frame whose z axis points up?"""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from capture_sim.plausibility.signals import noise, smooth, span
 
 #: A median tilt beyond this is refused, rad.
 MAX_TILT = 0.12
-#: Motion out of the plane: beyond this, m, and this share of the motion in the plane.
+#: Motion along z is refused above the first number, m, and above this share of the motion in the
+#: plane.
 _OUT_OF_PLANE, _SLOPE = 6e-3, 0.03
 #: Norms of quaternions may differ from 1 by this.
 _NORM_ERROR = 0.02
-#: Bodies closer than this times their distance at contact overlap.
+#: Vehicles overlap if they are nearer than this number times their distance at contact.
 _OVERLAP = 0.5
-#: The other vehicle must be seen within this angle of a vehicle's axis in the approach, rad.
+#: Largest angle in the approach between a vehicle's x axis and the line from chaser to target, rad.
 _MAX_BEARING = 1.3
-#: A vehicle that has moved by this shows its direction, m.
+#: Least travel, m, from which the direction of a vehicle's motion is known.
 _MOVED = 0.03
 
 
@@ -34,7 +35,7 @@ _MOVED = 0.03
     reason="rounding makes 1e-7; a norm of another size is no orientation in this convention",
 )
 def quaternion_norm(motion: MeasuredMotion) -> Iterator[Said]:
-    """Quaternions that are not of norm 1."""
+    """Yield a finding for each vehicle whose quaternions do not have the norm 1."""
     for _, poses in motion.measured.vehicles:
         norm = poses.norm[poses.is_measured]
         if len(norm) and abs(float(np.median(norm)) - 1.0) > _NORM_ERROR:
@@ -54,7 +55,7 @@ def quaternion_norm(motion: MeasuredMotion) -> Iterator[Said]:
     "of a floor and of a marker plate are some mrad",
 )
 def tilted(motion: MeasuredMotion) -> Iterator[Said]:
-    """A vehicle that is tilted out of the plane."""
+    """Yield a finding for each vehicle that is tilted out of the plane."""
     for name, poses in motion.measured.vehicles:
         tilt = poses.tilt
         if len(tilt) < MIN_MESSAGES or float(np.median(tilt)) <= MAX_TILT:
@@ -68,7 +69,10 @@ def tilted(motion: MeasuredMotion) -> Iterator[Said]:
 
 
 def _tilt_cause(poses: Poses) -> str:
-    """Return the likely cause of a tilt: quaternions with w first, or a y axis that points up."""
+    """Return the likely cause of a tilt and its remedy, as a text for the user.
+
+    Quaternions with w first and a y axis that points up are recognised.
+    """
     q = poses.quaternion[poses.is_measured] / poses.norm[poses.is_measured, None]
     w, x, y, _ = q.T  # if w comes first
     if float(np.median(np.hypot(x, y))) < 0.5 * MAX_TILT and abs(float(np.median(w))) > 0.5:
@@ -87,7 +91,7 @@ def _tilt_cause(poses: Poses) -> str:
     reason="a world that is not levelled by 1 deg moves z by 1.7 % of the travel",
 )
 def out_of_plane(motion: MeasuredMotion) -> Iterator[Said]:
-    """A vehicle that moves along z."""
+    """Yield a finding for each vehicle that moves along z, out of the plane."""
     for name, poses in motion.measured.vehicles:
         kept = poses.is_measured
         if kept.sum() < 3 * MIN_MESSAGES:
@@ -121,7 +125,10 @@ def out_of_plane(motion: MeasuredMotion) -> Iterator[Said]:
     needs_poses=True,
 )
 def heights_differ(motion: MeasuredMotion) -> Iterator[Said]:
-    """Base frames at different heights: with y up that is a lateral offset."""
+    """Yield a finding if the base frames differ in height by more than the cone's half-width.
+
+    If the data has y pointing up, this difference is in fact a lateral offset.
+    """
     if motion.pair is None or motion.scene is None:
         return
     cone = motion.scene.cone
@@ -144,7 +151,10 @@ def heights_differ(motion: MeasuredMotion) -> Iterator[Said]:
     reason="poses in two frames have no distance",
 )
 def frames_differ(motion: MeasuredMotion) -> Iterator[Said]:
-    """Poses of the vehicles in different frames."""
+    """Yield a finding if the poses of the two vehicles have no ``frame_id`` in common.
+
+    Leading slashes do not count.  A vehicle without a ``frame_id`` is not compared.
+    """
     chaser, target = motion.chaser, motion.target
     if chaser is None or target is None:
         return
@@ -165,7 +175,10 @@ def frames_differ(motion: MeasuredMotion) -> Iterator[Said]:
     reason="two publishers, or a driver that was set up anew",
 )
 def frame_changes(motion: MeasuredMotion) -> Iterator[Said]:
-    """A topic in several frames."""
+    """Yield a finding for each topic whose messages have more than one ``frame_id``.
+
+    Leading slashes do not count, and neither do messages without a ``frame_id``.
+    """
     for channel in motion.measured.channels:
         if len(_names(channel.frame_ids)) > 1:
             yield Said(
@@ -198,7 +211,10 @@ def _listed(names: set[str]) -> str:
     needs_poses=True,
 )
 def bodies_overlap(motion: MeasuredMotion) -> Iterator[Said]:
-    """The same pose on both topics, or bodies that cannot be so near."""
+    """Yield a finding if the vehicles are nearer to each other than their bodies allow.
+
+    If they are almost at the same position, both topics probably have the pose of one body.
+    """
     if motion.pair is None:
         return
     distance = float(np.percentile(motion.distance, 90.0))
@@ -226,7 +242,10 @@ def bodies_overlap(motion: MeasuredMotion) -> Iterator[Said]:
     needs_poses=True,
 )
 def not_facing(motion: MeasuredMotion) -> Iterator[Said]:
-    """Bodies swapped, and base frames that are turned."""
+    """Yield a finding if chaser or target does not face along the approach.
+
+    The two bodies are then swapped, or a base frame is turned.
+    """
     pair = motion.pair
     if pair is None:
         return
@@ -266,7 +285,7 @@ def not_facing(motion: MeasuredMotion) -> Iterator[Said]:
     needs_poses=True,
 )
 def moves_backwards(motion: MeasuredMotion) -> Iterator[Said]:
-    """A chaser that moves backwards along its own heading."""
+    """Yield a finding if the chaser approaches the target backwards, against its own heading."""
     pair = motion.pair
     if pair is None:
         return
@@ -290,7 +309,11 @@ def moves_backwards(motion: MeasuredMotion) -> Iterator[Said]:
 
 
 def _median_angle(angles: np.ndarray) -> float:
-    """Return the median of angles (n,), rad, within a turn around the mean direction."""
+    """Return the median of angles (n,), rad, in -pi to pi.
+
+    Each angle is taken within half a turn of the mean direction, so that the median does not depend
+    on where the angles jump by a turn.
+    """
     mean = math.atan2(float(np.sin(angles).mean()), float(np.cos(angles).mean()))
     off = np.angle(np.exp(1j * (angles - mean)))
     return math.remainder(mean + float(np.median(off)), math.tau)

@@ -1,4 +1,4 @@
-"""Measurements of the last seconds, for the rules of a node that is running."""
+"""Measurements of the last seconds, kept by a running node for the rules of plausibility."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 from capture_sim.plausibility.measured import Deflections, Forces, Measured, Poses
 
-#: The latest measurements of a source that are kept, at most.
+#: Largest number of measurements that are kept of a source.
 MAX_KEPT = 4000
 
 
 class _Kept:
-    """The latest messages of one topic."""
+    """The latest messages of one topic, and every frame_id that it has ever had."""
 
     def __init__(self, topic: str) -> None:
         self.topic = topic
@@ -28,11 +28,19 @@ class _Kept:
 
 
 class LiveMeasurements:
-    """Keeps the last ``span`` seconds of messages, and hands them to the rules.
+    """Store of the messages of the last ``span`` seconds, for the rules of plausibility.
 
-    Add each message as it comes; at a moment of decision, e.g. before the release, call
-    :func:`capture_sim.plausibility.check.check` with :meth:`measured`.  An add costs a microsecond,
-    a check of 2 s some milliseconds.  Stamps and arrivals are ns, each by any clock.
+    Add each message when it arrives.  Before a decision, e.g. about the release, call
+    :func:`capture_sim.plausibility.check.check` with :meth:`measured`.  Adding a message costs
+    about a microsecond, a check of 2 s some milliseconds.
+
+    There are four sources: chaser, target, buffer and force.  Of each, the messages of the last
+    ``span`` seconds before its latest message are kept, by arrival, and at most ``MAX_KEPT``.  A
+    source that has stopped thus keeps its last messages.  A message on another topic than before
+    replaces all that were kept of its source.
+
+    Stamps and arrivals are integers in ns.  All arrivals must be by one clock, that of the node.
+    Stamps may be by any clock: the rules compare them with the arrivals.
 
     Examples
     --------
@@ -47,7 +55,7 @@ class LiveMeasurements:
         self._kept: dict[str, _Kept] = {}
 
     def clear(self) -> None:
-        """Discard all measurements, at the start of a trial."""
+        """Discard all measurements, e.g. at the start of a trial."""
         self._kept.clear()
 
     def add_pose(
@@ -60,19 +68,23 @@ class LiveMeasurements:
         quaternion: Sequence[float],
         frame_id: str = "",
     ) -> None:
-        """Add a pose of ``chaser`` or ``target``: position (3), m, and quaternion x, y, z, w."""
+        """Add a pose; ``vehicle`` is "chaser" or "target".
+
+        ``stamp`` and ``arrival`` are in ns, ``position`` is x, y, z in m, and ``quaternion`` is
+        x, y, z, w.
+        """
         self._add(vehicle, topic, stamp, arrival, (*position, *quaternion), frame_id)
 
     def add_buffer(
         self, topic: str, stamp: int, arrival: int, stroke: float, torsion: float
     ) -> None:
-        """Add a state of the buffer: stroke (m) and torsion (rad)."""
+        """Add a state of the buffer: stroke (m) and torsion (rad); stamp and arrival in ns."""
         self._add("buffer", topic, stamp, arrival, (stroke, torsion), "")
 
     def add_force(
         self, topic: str, stamp: int, arrival: int, force: Sequence[float], frame_id: str = ""
     ) -> None:
-        """Add a force of the load cell (3), N."""
+        """Add a force of the load cell: x, y, z in N; stamp and arrival in ns."""
         self._add("force", topic, stamp, arrival, tuple(force), frame_id)
 
     def _add(
@@ -92,7 +104,10 @@ class LiveMeasurements:
             kept.rows.popleft()
 
     def measured(self, *, is_before_release: bool = False) -> Measured:
-        """Return the measurements that are kept; see :class:`Measured`."""
+        """Return the measurements that are kept; their times count from the earliest arrival.
+
+        ``is_before_release`` is passed on, see :class:`Measured`.
+        """
         arrivals = [kept.rows[0][1] for kept in self._kept.values() if kept.rows]
         origin = min(arrivals, default=0)
 

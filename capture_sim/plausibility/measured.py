@@ -1,4 +1,4 @@
-"""Measurements of a bench's sensors, as the rules use them."""
+"""Measurements of a bench's sensors as arrays, for the rules of plausibility."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MIN_NORM = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """Messages of one topic, in the order of their arrival."""
+    """Messages of one topic, in the order in which they were received; n is their number."""
 
     topic: str  # as the user knows it
     t: np.ndarray  # (n,), s, stamps less :attr:`Measured.origin`
@@ -35,88 +35,99 @@ class Channel:
 
     @property
     def values(self) -> np.ndarray:
-        """Values of the messages, (n, m)."""
+        """Measured values of the messages, (n, m), with m values in each message."""
         raise NotImplementedError
 
     @cached_property
     def is_measured(self) -> np.ndarray:
-        """Which messages hold a measurement, (n,) bool."""
+        """True for each message whose values are all finite, (n,) bool."""
         return np.asarray(np.isfinite(self.values).all(axis=1))
 
     @property
     def logged(self) -> np.ndarray:
-        """Arrivals, (n,), s; stamps where they are not known."""
+        """Arrivals of the messages, (n,), s; their stamps if the arrivals are not known."""
         return self.arrival if self.arrival.size else self.t
 
 
 @dataclass(frozen=True, eq=False)
 class Poses(Channel):
-    """Poses of one vehicle in the world."""
+    """Poses of one vehicle's base frame in the frame that ``frame_ids`` names."""
 
     position: np.ndarray = field(default_factory=_nothing)  # (n, 3), m
     quaternion: np.ndarray = field(default_factory=_nothing)  # (n, 4): x, y, z, w
 
     @property
     def values(self) -> np.ndarray:
-        """Positions and quaternions, (n, 7)."""
+        """Positions (m) and quaternions, (n, 7): x, y, z, then the quaternion's x, y, z, w."""
         return np.concatenate([self.position, self.quaternion], axis=1)
 
     @cached_property
     def norm(self) -> np.ndarray:
-        """Norms of the quaternions, (n,)."""
+        """Norms of the quaternions, (n,); 1 for a proper orientation."""
         return np.asarray(np.sqrt(np.einsum("ij,ij->i", self.quaternion, self.quaternion)))
 
     @cached_property
     def is_measured(self) -> np.ndarray:
-        """Which messages hold a pose, (n,) bool."""
+        """True for each message with a pose, (n,) bool.
+
+        A pose has finite values and a quaternion whose norm is above ``MIN_NORM``.
+        """
         return np.asarray(np.isfinite(self.values).all(axis=1) & (self.norm > MIN_NORM))
 
     @cached_property
     def planar(self) -> np.ndarray:
-        """x, y (m) and heading (rad, unwrapped) of the messages that hold a pose, (k, 3)."""
+        """x, y (m) and heading (rad, without jumps by a turn), (k, 3).
+
+        Only the k messages that :attr:`is_measured` marks have a row.
+        """
         kept = self.is_measured
         heading = 2.0 * np.arctan2(self.quaternion[kept, 2], self.quaternion[kept, 3])
         return np.column_stack([self.position[kept, :2], np.unwrap(heading)])
 
     @cached_property
     def tilt(self) -> np.ndarray:
-        """Angle between the vehicle's z axis and the world's, (k,), rad."""
+        """Angle between the vehicle's z axis and the world's, (k,), rad, in 0 to pi.
+
+        Only the k messages that :attr:`is_measured` marks have a value.
+        """
         x, y, _, _ = (self.quaternion[self.is_measured] / self.norm[self.is_measured, None]).T
         return np.asarray(2.0 * np.arcsin(np.minimum(np.hypot(x, y), 1.0)))
 
 
 @dataclass(frozen=True, eq=False)
 class Deflections(Channel):
-    """State of the buffer."""
+    """Measured states of the buffer: stroke and torsion."""
 
-    unused: str = ""  # why messages of the topic give no state, if none does
+    unused: str = ""  # the reason, if none of the topic's messages has a state of the buffer
     stroke: np.ndarray = field(default_factory=_nothing)  # (n,), m, negative when compressed
     torsion: np.ndarray = field(default_factory=_nothing)  # (n,), rad
 
     @cached_property
     def values(self) -> np.ndarray:  # type: ignore[override]
-        """Strokes and torsions, (n, 2)."""
+        """Strokes (m) and torsions (rad), (n, 2)."""
         return np.column_stack([self.stroke, self.torsion])
 
 
 @dataclass(frozen=True, eq=False)
 class Forces(Channel):
-    """Forces of the load cell as it sends them, on the cone."""
+    """Forces on the cone, as the load cell sends them."""
 
     force: np.ndarray = field(default_factory=_nothing)  # (n, 3), N, in the axes of ``frame_ids``
 
     @property
     def values(self) -> np.ndarray:
-        """Forces, (n, 3), N."""
+        """Forces, (n, 3): x, y, z in N, in the axes of the frame that ``frame_ids`` names."""
         return self.force
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """One topic of each source of a bench; None for a source that nothing was received of.
+    """Measurements of the sources of one bench: a topic each for both vehicles, buffer and force.
 
-    All times count from one origin, ns, so that stamps of a wall clock keep their digits.
-    ``is_before_release``: nothing has been let go, so that nothing moves and nothing touches.
+    A source without messages is None, or has a count of 0.  All times are in s after one
+    ``origin``, because seconds since 1970 would lose digits as floating-point numbers.
+    ``is_before_release`` is True if the launcher still holds the chaser, so that no vehicle moves
+    and the tip touches no wall.
     """
 
     chaser: Poses | None = None
@@ -128,13 +139,13 @@ class Measured:
 
     @property
     def channels(self) -> list[Channel]:
-        """The sources that messages were received of."""
+        """Sources with at least one message, in the order of the fields."""
         values = (getattr(self, each.name) for each in fields(self))
         return [each for each in values if isinstance(each, Channel) and each.count]
 
     @property
     def vehicles(self) -> Iterator[tuple[str, Poses]]:
-        """Poses of chaser and target, by name, where messages were received."""
+        """Pairs of "chaser" or "target" and its poses, without vehicles that have no message."""
         for name, poses in (("chaser", self.chaser), ("target", self.target)):
             if poses is not None and poses.count:
                 yield name, poses

@@ -1,7 +1,9 @@
-"""Balances of momentum over the first contact: by poses, by the force, and by the buffer's spring.
+"""Balances of momentum over the first contact: by poses, by the force and by the buffer's spring.
 
-Between two instants around the contact, the chaser loses the momentum that the force has on the
-tip, and that the axial spring hands on.  The damper's part is the difference of two strokes.
+Between an instant before the first contact and one after it, poses give the change of the chaser's
+momentum.  It must equal the impulse of the measured force on the tip, and the impulse that the
+axial spring transmits to the chaser.  The damper's impulse is neglected: it is proportional to the
+difference between the strokes at the two instants.
 """
 
 from __future__ import annotations
@@ -14,32 +16,35 @@ import numpy as np
 from capture_sim.plausibility.motion import MeasuredMotion
 from capture_sim.plausibility.signals import noise, slope
 
-#: Windows before and after the begin of a contact between which momentum is balanced, s.
+#: Momentum is balanced from BEFORE to AFTER, s, measured from the begin of the contact.
 BEFORE, AFTER = 0.15, 0.5
-#: Half of the window that a speed is measured over, s, and poses in it at least.
+#: Half of the time over which a speed is measured, s, and least number of poses in that time.
 _HALF, _MIN_POSES = 0.1, 8
-#: Change of the chaser's speed that shows a contact, m/s.
+#: Least change of the chaser's speed that shows a contact, m/s.
 _MIN_CHANGE = 0.02
-#: Least rate at which an impulse of touches is known, Hz.
+#: Least rate of a force from which the impulse of its touches can be computed, Hz.
 _MIN_RATE = 300.0
-#: Mean stroke over the contact that an encoder must show, m, or in standard deviations.
+#: Least mean stroke over the contact that an encoder can show, in m and in standard deviations.
 _MIN_STROKE, _DEVIATIONS = 1e-3, 6.0
-#: The buffer is at rest until this before the first window, s.
+#: The stroke at rest is taken from times that end this long before the first instant, s.
 _MARGIN = 0.1
 
 
 class SpeedChange(NamedTuple):
-    """Change of the chaser's speed along an axis between two instants, s."""
+    """Change of the chaser's speed along an axis between two instants."""
 
-    begin: float
-    end: float
-    speed: float  # m/s
+    begin: float  # s
+    end: float  # s
+    speed: float  # speed at the end less that at the begin, m/s
 
 
 def change_of_speed(motion: MeasuredMotion, contact: float, axis: np.ndarray) -> SpeedChange | None:
-    """Return the change of the chaser's speed over a contact, s; None if it is not known.
+    """Return the change of the chaser's speed over a contact; None if it is not known.
 
-    ``axis``: heading (n,), rad, of the poses of the pair, whose median around the contact counts.
+    ``contact`` is the time of the contact's begin, s.  ``axis`` (n,), rad, is the heading of one
+    vehicle at each pose of ``motion.pair``; the speed is that along the median heading around the
+    contact.  The change is not known if there are too few poses around one of the two instants, or
+    if it is below 0.02 m/s or five of its standard errors.
     """
     pair = motion.pair
     if pair is None:
@@ -64,7 +69,12 @@ def change_of_speed(motion: MeasuredMotion, contact: float, axis: np.ndarray) ->
 
 
 def force_ratio(motion: MeasuredMotion) -> float | None:
-    """Return the impulse of the force over the chaser's change of momentum; None if unknown."""
+    """Return the force's impulse divided by the chaser's change of momentum, about 1 if all fits.
+
+    Both are along the target's x axis, over the first contact.  The impulse is that of the force on
+    the tip.  None if the force has fewer than 300 samples per second, if there is no scene, or if
+    poses or force do not cover the contact and a time before it.
+    """
     turned = motion.cone_force
     if turned is None or motion.pair is None or motion.scene is None:
         return None
@@ -82,9 +92,15 @@ def force_ratio(motion: MeasuredMotion) -> float | None:
 
 
 def spring_ratio(motion: MeasuredMotion) -> float | None:
-    """Return the impulse of the axial spring over the chaser's change of momentum.
+    """Return the axial spring's impulse divided by the chaser's change of momentum.
 
-    None if it is not known, if the spring is not linear, or if it need not yield visibly.
+    Both are along the chaser's x axis, over the first contact.  The impulse is ``k_A`` times the
+    integral of the stroke; the mass is that of chaser and cylinder.  The ratio is about 1 if
+    stroke, poses and ``k_A`` fit.
+
+    None if there is no scene, if poses or encoder do not cover the contact and a time before it, or
+    if the spring may yield less than the encoder can show.  None also for a buffer with a nonlinear
+    spring, a seat, friction or stops, because its force is then not ``k_A`` times the stroke.
     """
     scene, pair, buffer = motion.scene, motion.pair, motion.buffer
     if scene is None or pair is None or buffer is None:
@@ -110,7 +126,12 @@ def spring_ratio(motion: MeasuredMotion) -> float | None:
 
 
 def _first_change(motion: MeasuredMotion, axis: np.ndarray) -> SpeedChange | None:
-    """Return the chaser's loss of speed over the first contact that any source shows."""
+    """Return the change of the chaser's speed over the first contact; None if no loss is known.
+
+    The contact begins where the first of poses, buffer and force shows it, or, if that shows no
+    loss of speed, where the next one does within ``BEFORE``.  If none of them shows a contact, it
+    begins where the tip first comes near a wall by poses.
+    """
     begins = sorted(motion.contacts.values())
     begins = begins or ([] if motion.near_time is None else [motion.near_time])
     # a later one is no first contact: rolling resistance changes the speed as well
@@ -122,7 +143,12 @@ def _first_change(motion: MeasuredMotion, axis: np.ndarray) -> SpeedChange | Non
 def _integral(
     t: np.ndarray, values: np.ndarray, change: SpeedChange, quiet: np.ndarray
 ) -> float | None:
-    """Return the integral of values (n,) over a change, less what they were before, ``quiet``."""
+    """Return the integral of ``values`` (n,), less their level at rest, over ``change``.
+
+    ``t`` (n,) are the times of the values, s.  The level at rest is the median of the values that
+    ``quiet`` (n,) bool marks.  None if the values do not cover the change, or if fewer than 20 are
+    in it or at rest.
+    """
     during = (t >= change.begin) & (t <= change.end)
     if during.sum() < 20 or t[0] > change.begin or t[-1] < change.end or quiet.sum() < 20:
         return None

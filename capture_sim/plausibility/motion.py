@@ -1,6 +1,6 @@
 """Motion of the vehicles and of the tip from measurements, computed once for all rules.
 
-All arrays are at the stamps of the chaser's poses, and are computed at their first use.
+Times are stamps in s, and count from the origin of the :class:`Measured`.
 """
 
 from __future__ import annotations
@@ -16,38 +16,41 @@ from capture_sim.plausibility.measured import Deflections, Forces, Measured, Pos
 from capture_sim.plausibility.signals import baseline, noise, onset, smooth
 from capture_sim.scene.parts import Scene
 
-#: Between poses that are further apart nothing is interpolated, s.
+#: Values are interpolated only between measurements that are at most this far apart, s.
 MAX_GAP = 0.25
-#: Poses whose running median is compared with the walls.
+#: Number of poses over which running medians are taken before a comparison with the walls.
 N_SMOOTH = 9
-#: Messages of a source that are needed to know its noise.
+#: Least number of messages with which a source is used: its noise is not known from fewer.
 MIN_MESSAGES = 8
-#: Poses that are closer than this, s, show every contact.
+#: Poses that are less than this apart, s, show every contact.
 _TRACKED = 0.05
-#: Least force, N, and share of the largest, that begin a contact.
+#: A contact begins with a force above the first number, N, and above this share of the largest.
 _MIN_FORCE, _FORCE_SHARE = 2.0, 0.05
-#: A limit above this may hide the begin of a contact, N.
+#: If noise requires a threshold above this, N, the force may not show the begin of a contact.
 _CLEAR = 3.0
 #: Least deflection of the buffer that begins a contact, m.
 MIN_DEFLECTION = 3e-4
 #: A tip this close to a wall may touch it, m: base frames are no better.
 _NEAR = 3e-3
-#: ... and one this far from the walls does not, m.
+#: A tip that is further than this from the walls does not touch them, m.
 _AWAY = 1e-2
 
 
 class PosePair(NamedTuple):
-    """Poses of both vehicles at common times."""
+    """Poses of both vehicles' base frames at common times, the stamps of the chaser's poses."""
 
-    t: np.ndarray  # (n,), s
+    t: np.ndarray  # (n,), s, ascending
     chaser: np.ndarray  # (n, 3): x, y (m), heading (rad)
-    target: np.ndarray  # (n, 3)
+    target: np.ndarray  # (n, 3): x, y (m), heading (rad), interpolated
     z_chaser: np.ndarray  # (n,), m
     z_target: np.ndarray  # (n,), m
 
 
 class MeasuredMotion:
-    """Measurements of one bench, and its scene (None if it is not known)."""
+    """Motion of one bench by its measurements, and by its scene (None if it is not known).
+
+    Most properties are computed at their first use and then kept.
+    """
 
     def __init__(self, measured: Measured, scene: Scene | None) -> None:
         self.measured, self.scene = measured, scene
@@ -55,14 +58,14 @@ class MeasuredMotion:
         self._force_limit = 0.0  # N, that a force must pass to begin a contact
 
     def once(self, name: str, make: Callable[[], Any]) -> Any:
-        """Return the result of ``make``, which is called once for each name."""
+        """Return what ``make`` returned for ``name``; call it only if the name is new."""
         if name not in self._made:
             self._made[name] = make()
         return self._made[name]
 
     @property
     def chaser(self) -> Poses | None:
-        """Poses of the chaser; None without any."""
+        """Poses of the chaser; None if none were measured."""
         return self.measured.chaser
 
     @property
@@ -72,13 +75,13 @@ class MeasuredMotion:
 
     @cached_property
     def buffer(self) -> Deflections | None:
-        """The buffer, if enough of its messages hold a measurement."""
+        """States of the buffer; None if fewer than ``MIN_MESSAGES`` are measured."""
         buffer = self.measured.buffer
         return buffer if buffer is not None and buffer.is_measured.sum() >= MIN_MESSAGES else None
 
     @cached_property
     def force(self) -> Forces | None:
-        """The load cell, if its axes are known and enough of its messages hold a measurement."""
+        """Forces; None if their frame is unknown, or if under ``MIN_MESSAGES`` are measured."""
         force = self.measured.force
         if force is None or frame_of(force.frame_ids) is None:
             return None
@@ -86,7 +89,11 @@ class MeasuredMotion:
 
     @cached_property
     def pair(self) -> PosePair | None:
-        """Poses of both vehicles at the chaser's stamps; None without poses of both."""
+        """Poses of both vehicles at the chaser's stamps; None if there are too few.
+
+        The target's poses are interpolated.  Stamps outside of the target's poses, and in gaps of
+        them longer than ``MAX_GAP``, are left out.  Too few are less than ``MIN_MESSAGES``.
+        """
         chaser, target = self.chaser, self.target
         if chaser is None or target is None:
             return None
@@ -110,13 +117,16 @@ class MeasuredMotion:
 
     @property
     def pair_topic(self) -> str:
-        """Both topics of poses, as a text."""
+        """Topics of the chaser's and the target's poses as one text, joined by " and "."""
         names = [poses.topic for _, poses in self.measured.vehicles]
         return " and ".join(dict.fromkeys(names))
 
     @cached_property
     def distance(self) -> np.ndarray:
-        """Distance between the base frames in the plane, (n,), m; empty without both."""
+        """Distance between the base frames in the plane, (n,), m, at the times of :attr:`pair`.
+
+        Empty if :attr:`pair` is None.
+        """
         if self.pair is None:
             return np.zeros(0)
         x, y = (self.pair.target[:, :2] - self.pair.chaser[:, :2]).T
@@ -124,13 +134,21 @@ class MeasuredMotion:
 
     @cached_property
     def contact_distance(self) -> float:
-        """Distance between the base frames when the tip is at BE and all is straight, m."""
+        """Distance between the base frames with the tip's centre at the centre of BE, m.
+
+        The buffer is undeflected, and both vehicles are aligned with the cone's axis.  Needs a
+        scene.
+        """
         assert self.scene is not None
         return self.scene.buffer.hinge_offset + self.scene.rest_length + self.scene.cone.L_T
 
     @cached_property
     def approach(self) -> np.ndarray:
-        """True for each pose of :attr:`pair` in the approach, (n,) bool: before the closest one."""
+        """True for each pose of :attr:`pair` in the approach, (n,) bool; empty without a pair.
+
+        The approach ends where the distance first falls to its 2nd percentile, which is near the
+        closest approach.  The first ``MIN_MESSAGES`` poses always belong to it.
+        """
         found = np.zeros(len(self.distance), dtype=bool)
         if len(self.distance):
             nearest = self.distance <= np.percentile(self.distance, 2.0)
@@ -138,7 +156,11 @@ class MeasuredMotion:
         return found
 
     def deflections_at(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return stroke (m) and torsion (rad) at times (n,), s; NaN in gaps; None without any."""
+        """Return stroke (m) and torsion (rad) at the times ``t``, s, (n,) each, interpolated.
+
+        They are NaN outside of the encoders' stamps, and in gaps longer than ``MAX_GAP``.  None if
+        :attr:`buffer` is None.
+        """
         buffer = self.buffer
         if buffer is None:
             return None
@@ -152,11 +174,15 @@ class MeasuredMotion:
         return stroke, torsion
 
     def depth(self, stroke: np.ndarray, torsion: np.ndarray) -> np.ndarray:
-        """Return how deep the tip would be inside of a wall, (n,), m; negative before the wall.
+        """Return the depth of the tip in a wall, (n,), m, the larger of those in both walls.
 
         ``stroke`` (m) and ``torsion`` (rad), (n,) each, are those of the buffer at the times of
-        :attr:`pair`.  A tip that has not been between the walls before, e.g. as it passes the cone
-        outside of it, has minus infinity.
+        :attr:`pair`; poses give the rest.  The depth is the tip's radius less the distance of its
+        centre from the wall: negative if the tip does not reach the wall.
+
+        It is minus infinity where the tip is not alongside a wall, and as long as it has not been
+        clear of the wall on the wall's inner side.  A tip that passes the cone outside of it thus
+        counts as in no wall.  It is minus infinity also where stroke or torsion is NaN.
         """
         assert self.pair is not None
         assert self.scene is not None
@@ -175,7 +201,11 @@ class MeasuredMotion:
         return deepest
 
     def _tip(self, stroke: np.ndarray, torsion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the tip's position ahead of BE and lateral to the cone's axis, (n,) each, m."""
+        """Return the position of the tip's centre relative to the centre of BE, (n,) each, m.
+
+        The first array is the position along the cone's axis, positive towards the cone's mouth.
+        The second is the position across the axis, positive along the target's y axis.
+        """
         assert self.pair is not None
         assert self.scene is not None
         scene, pair = self.scene, self.pair
@@ -190,7 +220,11 @@ class MeasuredMotion:
 
     @cached_property
     def stiff_gap(self) -> np.ndarray:
-        """Running median of the distance of a tip on a stiff buffer to the walls, (k,), m."""
+        """Running median of the distance from the tip's surface to the nearest wall, (k,), m.
+
+        The tip is placed by poses alone, as if the buffer were rigid.  The values are at
+        :attr:`smooth_times`.
+        """
         assert self.pair is not None
         assert self.scene is not None
         zero = np.zeros(len(self.pair.t))
@@ -205,25 +239,36 @@ class MeasuredMotion:
 
     @cached_property
     def stiff_depth(self) -> np.ndarray:
-        """Running median of :meth:`depth` of a tip on a buffer that does not yield, (k,), m."""
+        """Running median of :meth:`depth` with stroke and torsion 0, (k,), m.
+
+        It is the depth of the tip as if the buffer were rigid.  The values are at
+        :attr:`smooth_times`.
+        """
         assert self.pair is not None
         zero = np.zeros(len(self.pair.t))
         return smooth(self.depth(zero, zero), N_SMOOTH)
 
     @cached_property
     def smooth_times(self) -> np.ndarray:
-        """Times of running medians over the poses of :attr:`pair`, (k,), s."""
+        """Times of running medians over ``N_SMOOTH`` poses of :attr:`pair`, (k,), s."""
         assert self.pair is not None
         return smooth(self.pair.t, N_SMOOTH)
 
     @property
     def is_force_clear(self) -> bool:
-        """True if the noise of the force hides no begin of a contact."""
+        """True if the force leaves its zero, and its noise is too small to hide a contact's begin.
+
+        The noise is small enough if the threshold for the begin is at most 3 N.
+        """
         return self.force_onset is not None and self._force_limit <= _CLEAR
 
     @cached_property
     def force_onset(self) -> float | None:
-        """When the force first leaves its zero, s; None if it never does."""
+        """Time at which the force first leaves its baseline, s; None if it never does.
+
+        None also if :attr:`force` is None.  The baseline follows a slow drift of the zero.  The
+        threshold is at least 2 N, 5 % of the largest force, and 8 standard deviations of the noise.
+        """
         force = self.force
         if force is None:
             return None
@@ -240,7 +285,12 @@ class MeasuredMotion:
 
     @cached_property
     def contacts(self) -> dict[str, float]:
-        """First contact by poses, buffer and force, s; a source without a contact is absent."""
+        """Time of the first contact, s, by each source that shows one.
+
+        The keys are "poses", "buffer" and "force".  A source that shows no contact has no key.
+        Empty without a scene.  By poses, the contact begins where the tip would enter a wall if the
+        buffer were rigid.
+        """
         seen: dict[str, float] = {}
         if self.scene is None:
             return seen
@@ -269,27 +319,41 @@ class MeasuredMotion:
 
     @cached_property
     def near_time(self) -> float | None:
-        """When the tip first comes as close to a wall as the noise of the poses, s; None if not."""
+        """Time at which the tip first comes so close to a wall that it may touch it, s.
+
+        So close is 3 mm, for errors of the base frames, and 3 standard deviations of the poses.
+        None if the tip never does, without a scene, or without poses of both vehicles.
+        """
         if self.scene is None or self.pair is None or not len(self.stiff_gap):
             return None
         found = np.flatnonzero(self.stiff_gap < _NEAR + 3.0 * self.pose_noise)
         return float(self.smooth_times[found[0]]) if found.size else None
 
     def is_tracked(self, begin: float, end: float) -> bool:
-        """Return True if poses cover a time, s, without a gap."""
+        """Return True if poses cover the time from ``begin`` to ``end``, s, without a gap.
+
+        A gap is 0.05 s or longer.  True also if ``end`` is not after ``begin``.
+        """
         assert self.pair is not None
         t = self.pair.t[(self.pair.t >= begin) & (self.pair.t <= end)]
         steps = np.diff(np.concatenate([[begin], t, [end]]))
         return float(steps.max(initial=0.0)) < _TRACKED
 
     def topic_of(self, name: str) -> str:
-        """Return the topic of poses, buffer or force."""
+        """Return the topic of a source; ``name`` is "poses", "buffer" or "force".
+
+        For "poses", and for a source that was not measured, it is :attr:`pair_topic`.
+        """
         channel = {"buffer": self.measured.buffer, "force": self.measured.force}.get(name)
         return self.pair_topic if channel is None else channel.topic
 
     @cached_property
     def cone_force(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Times (n,), s, and force on the tip in the target's axes, (n, 2), N; None if unknown."""
+        """Times (n,), s, and force on the tip, x and y in the target's axes, (n, 2), N.
+
+        The force on the tip is opposite to that on the cone, which the load cell measures.  An
+        unknown torsion counts as 0.  None without forces in a known frame, or without :attr:`pair`.
+        """
         force, pair = self.force, self.pair
         frame = None if force is None else frame_of(force.frame_ids)
         if force is None or pair is None or frame is None:
@@ -309,7 +373,10 @@ class MeasuredMotion:
 
     @cached_property
     def pose_noise(self) -> float:
-        """Standard deviation of the tip's position by one pose of each vehicle, m."""
+        """Standard deviation of the tip's position relative to the cone by single poses, m.
+
+        It combines the noise of both vehicles' positions and headings.  0 without :attr:`pair`.
+        """
         if self.pair is None:
             return 0.0
         arm = 0.35 if self.scene is None else self.contact_distance
@@ -320,7 +387,11 @@ class MeasuredMotion:
 
 
 def _is_covered(t: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Return True for each time (n,) between two ascending ``u`` without gap, (n,) bool."""
+    """Return True for each time ``t`` that measurements at the times ``u`` cover, (n,) bool.
+
+    A time is covered if it is between two successive times of ``u``, which are ascending, and these
+    are at most ``MAX_GAP`` apart.
+    """
     after = np.searchsorted(u, t, side="right").clip(1, max(len(u) - 1, 1))
     if len(u) < 2:
         return np.zeros(len(t), dtype=bool)

@@ -1,4 +1,4 @@
-"""Rule, grade and doubt; the table of all rules."""
+"""Types of a rule, its grade and its doubts; the table of all rules."""
 
 from __future__ import annotations
 
@@ -11,19 +11,22 @@ from capture_sim.plausibility.motion import MeasuredMotion
 
 
 class Grade(StrEnum):
-    """The consequence of a broken rule."""
+    """What a broken rule does to the measurements, the gravest grade first."""
 
-    REFUSED = "refused"  # no answer would mean anything
-    LEFT_OUT = "left out"  # these messages are no measurements
-    NOTED = "noted"  # used, and here is the doubt
+    REFUSED = "refused"  # the run is not evaluated: no result would mean anything
+    LEFT_OUT = "left out"  # these messages are not used: they are no measurements
+    NOTED = "noted"  # the messages are used, and the doubt is reported
 
 
 class Said(NamedTuple):
-    """The finding of a rule's check: topic, text and number of messages; None is all of them."""
+    """One finding of a rule's check: the topic, and what is wrong with its messages.
 
-    topic: str
-    text: str
-    messages: int | None = None
+    Some rules find several topics, and yield one finding for each.
+    """
+
+    topic: str  # or two topics, joined by " and "
+    text: str  # value, unit, expectation, and what to do
+    messages: int | None = None  # number of messages concerned; None: all of the topic
 
 
 Check = Callable[[MeasuredMotion], Iterable[Said]]
@@ -31,35 +34,35 @@ Check = Callable[[MeasuredMotion], Iterable[Said]]
 
 @dataclass(frozen=True, eq=False)
 class Rule:
-    """One rule of plausibility."""
+    """One rule of plausibility: its check, and the texts that explain it to the user."""
 
     name: str
     grade: Grade
     compares: str  # what is compared with what
     threshold: str  # with its unit
     reason: str  # of the threshold
-    needs_scene: bool
-    needs_poses: bool  # skipped once another rule has refused a measurement
+    needs_scene: bool  # not checked without a scene
+    needs_poses: bool  # not checked after any rule of grade REFUSED has been broken
     check: Check
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """A broken rule."""
+    """A broken rule with one of its findings, see :class:`Said`."""
 
     rule: Rule
-    topic: str  # whose messages are doubted
+    topic: str  # whose messages are doubted; or two topics, joined by " and "
     text: str  # value, unit, expectation, and what to do
-    messages: int | None = None  # number that is left out; None: all of the topic
+    messages: int | None = None  # number of messages concerned; None: all of the topic
 
     @property
     def grade(self) -> Grade:
-        """The consequence of the broken rule."""
+        """Grade of the broken rule."""
         return self.rule.grade
 
     @property
     def leaves_out_topic(self) -> bool:
-        """True if no message of the topic is used."""
+        """True if the doubt excludes all messages of the topic: not for the grade NOTED."""
         return self.messages is None and self.grade is not Grade.NOTED
 
     @property
@@ -68,7 +71,7 @@ class Doubt:
         return f"{self.topic}: {self.grade} ({self.rule.name}): {self.text}"
 
 
-#: Every rule by its name, in the order in which they are checked.
+#: Every rule by its name.  ``check.py`` puts them in the order in which they are checked.
 RULES: dict[str, Rule] = {}
 
 
@@ -82,7 +85,10 @@ def rule(
     needs_scene: bool = False,
     needs_poses: bool = False,
 ) -> Callable[[Check], Check]:
-    """Add a function to :data:`RULES` as the check of a rule."""
+    """Return a decorator that adds a function to :data:`RULES` as the check of the rule ``name``.
+
+    The other arguments are the fields of :class:`Rule`.  The function itself is returned unchanged.
+    """
 
     def add(check: Check) -> Check:
         RULES[name] = Rule(
@@ -94,7 +100,11 @@ def rule(
 
 
 def broken(motion: MeasuredMotion, waived: Iterable[str] = ()) -> Iterator[Doubt]:
-    """Yield a doubt for each rule that is broken, without the waived ones."""
+    """Yield a doubt for each finding of the rules, in the order of :data:`RULES`.
+
+    A rule is not checked if ``waived`` has its name, if it needs a scene and there is none, or if
+    it needs poses and a rule of grade REFUSED has been broken before.
+    """
     left, refused = set(waived), False
     for each in RULES.values():
         if each.name in left or (each.needs_scene and motion.scene is None):

@@ -1,4 +1,4 @@
-"""Noise, steps and slopes of measured signals, as arrays."""
+"""Noise, baseline, onset and slope of measured signals, given as arrays."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ import numpy as np
 
 #: The median of |x| of a normal x with standard deviation 1.
 _MEDIAN = 0.6744897501960817
-#: Samples of a baseline's block, at least, and blocks of a baseline.
+#: Least number of samples in a block of :func:`baseline`, and number of blocks in its line.
 _MIN_BLOCK, _N_BLOCKS = 5, 5
-#: Duration of such a block, s.
+#: Duration of a block of :func:`baseline`, s, unless that is too short for its samples.
 _BLOCK_TIME = 0.1
 
 
 def noise(values: np.ndarray) -> float:
-    """Return the standard deviation of the noise of a smooth signal (n,), from third differences.
+    """Return the standard deviation of the noise on a smooth signal (n,); 0 if n < 8.
 
-    The third difference of white noise has 20 times its variance, that of a smooth motion is small;
-    the median keeps jumps from counting.
+    It is estimated from third differences of the samples, which must be evenly spaced.  The third
+    difference of white noise has 20 times the variance of the noise; that of a smooth motion is
+    small.  The median of their sizes is used, so that single jumps have no influence.
     """
     if len(values) < 8:
         return 0.0
@@ -26,7 +27,10 @@ def noise(values: np.ndarray) -> float:
 
 
 def span(values: np.ndarray) -> float:
-    """Return the range of a signal (n,) without its outermost hundredths, which may be outliers."""
+    """Return the range of a signal (n,) between its 1st and 99th percentiles; 0 if n = 0.
+
+    The samples beyond these percentiles are left out, because they may be outliers.
+    """
     if not len(values):
         return 0.0
     low, high = np.percentile(values, [1.0, 99.0])
@@ -34,9 +38,10 @@ def span(values: np.ndarray) -> float:
 
 
 def smooth(values: np.ndarray, count: int) -> np.ndarray:
-    """Return running medians of ``count`` values, (n - count + 1,); as they are if there are fewer.
+    """Return running medians over ``count`` successive values, (n - count + 1,).
 
-    Two bad frames of nine do not count.
+    If n < ``count``, the values are returned unchanged, (n,).  Outliers have little influence while
+    they are fewer than half of the values of a window.
     """
     if len(values) < count:
         return values
@@ -45,10 +50,16 @@ def smooth(values: np.ndarray, count: int) -> np.ndarray:
 
 
 def baseline(t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return what a sensor (n, m) reads without an event, as known just before each time, (n, m).
+    """Return what a sensor would read at each time ``t`` (n,), s, without contact, (n, m).
 
-    It goes on along a line through the medians of the five tenths of a second before: slow drift is
-    in it, a touch is not.  The first tenth counts for itself.
+    ``values`` (n, m) are its readings of m components, with evenly spaced times.  They are divided
+    into blocks of 0.1 s, or of five samples if those last longer.  The medians of the five blocks
+    before a sample's block are extrapolated to the sample along a straight line.  The baseline thus
+    follows a slow drift, but not a touch.
+
+    Samples near the begin have fewer blocks before them.  In the second to fifth block the baseline
+    is the mean of the earlier medians; in the first block it is that block's own median.  If there
+    are fewer than two full blocks, it is the median of all values; if n < 2, it is the values.
     """
     n = len(t)
     if n < 2:
@@ -76,9 +87,15 @@ def baseline(t: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def onset(t: np.ndarray, values: np.ndarray, least: float) -> tuple[float, float] | None:
-    """Return when a signal (n, m) first leaves its baseline, s, and the noise; None if never.
+    """Return the time at which a signal first leaves its baseline, s, and its noise.
 
-    It leaves it with two of three successive samples: by six standard deviations and ``least``.
+    ``values`` (n, m) are the signal at the times ``t`` (n,), s; ``least`` is in the signal's unit.
+    A sample is off the baseline if its distance from :func:`baseline` exceeds both ``least`` and
+    six standard deviations of the noise.  The time is that of the first such sample that has
+    another one among the next two.  None if there is none, or if n < 10.
+
+    The noise is the standard deviation of one component, from the first 5 % of the samples, at
+    least 20.  It is exact for m = 2 only.
     """
     if len(t) < 10:
         return None
@@ -94,7 +111,11 @@ def onset(t: np.ndarray, values: np.ndarray, least: float) -> tuple[float, float
 
 
 def slope(t: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """Return the slope of a line through values (n,), 1/s, and its standard error."""
+    """Return the slope of a fitted line, and its standard error, in units of the values per s.
+
+    The line is fitted to ``values`` (n,) at the ascending times ``t`` (n,), s.  (0, inf) if n < 3
+    or if all times are equal.
+    """
     if len(t) < 3 or t[-1] <= t[0]:
         return 0.0, math.inf
     middle = t - t.mean()

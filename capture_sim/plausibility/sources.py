@@ -1,4 +1,4 @@
-"""Rules of sources: is there a measurement at all, and until when?"""
+"""Rules of sources: does each topic carry measurements, and until the end?"""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from capture_sim.plausibility.rules import Grade, Said, rule
 MAX_SILENCE = 0.5
 #: ... and by this many of its intervals.
 _MIN_INTERVALS = 20
-#: Ratio of rates that is a change of the rate.
+#: Ratio of two rates of a source above which its rate has changed.
 _RATE_RATIO = 1.7
-#: Messages of a third of a recording that give a rate.
+#: Least number of messages in a third of a recording to measure a rate.
 _MIN_THIRD = 20
 
 
@@ -27,7 +27,7 @@ _MIN_THIRD = 20
     reason="drivers send zeros or NaN for a body that the cameras do not see",
 )
 def never_tracked(motion: MeasuredMotion) -> Iterator[Said]:
-    """A vehicle none of whose messages holds a pose."""
+    """Yield a finding for each vehicle whose messages all lack a pose."""
     for name, poses in motion.measured.vehicles:
         if not poses.is_measured.any():
             what = "quaternion 0 0 0 0" if (poses.norm < 1e-3).any() else "not finite"
@@ -46,7 +46,7 @@ def never_tracked(motion: MeasuredMotion) -> Iterator[Said]:
     reason="an orientation has norm 1",
 )
 def no_pose(motion: MeasuredMotion) -> Iterator[Said]:
-    """Some messages of a vehicle without a pose."""
+    """Yield a finding for each vehicle of whose messages some, but not all, lack a pose."""
     for _, poses in motion.measured.vehicles:
         lost = int((~poses.is_measured).sum())
         if 0 < lost < poses.count:
@@ -62,7 +62,7 @@ def no_pose(motion: MeasuredMotion) -> Iterator[Said]:
     reason="NaN is no measurement",
 )
 def no_value(motion: MeasuredMotion) -> Iterator[Said]:
-    """Messages of buffer and load cell without a value."""
+    """Yield a finding for buffer and load cell if some or all of their values are not finite."""
     for channel, what in (
         (motion.measured.buffer, "position of buffer_slide or buffer_hinge"),
         (motion.measured.force, "force"),
@@ -91,7 +91,7 @@ def no_value(motion: MeasuredMotion) -> Iterator[Said]:
     reason="the position of the tip needs both",
 )
 def no_joints(motion: MeasuredMotion) -> Iterator[Said]:
-    """Joint states of which none is the buffer's."""
+    """Yield a finding if no message of the buffer's topic has a state of the buffer."""
     buffer = motion.measured.buffer
     if buffer is not None and buffer.unused and not buffer.count:
         yield Said(buffer.topic, buffer.unused)
@@ -105,7 +105,10 @@ def no_joints(motion: MeasuredMotion) -> Iterator[Said]:
     reason="noise and motion cannot be known from fewer",
 )
 def few_messages(motion: MeasuredMotion) -> Iterator[Said]:
-    """A source that sent one message, or a few."""
+    """Yield a finding for each source with far fewer messages than another source.
+
+    A source without any message is not reported.
+    """
     most = max((channel.count for channel in motion.measured.channels), default=0)
     for channel in motion.measured.channels:
         if channel.count < MIN_MESSAGES and most >= 10 * channel.count + MIN_MESSAGES:
@@ -124,7 +127,11 @@ def few_messages(motion: MeasuredMotion) -> Iterator[Said]:
     reason="longer than an occlusion at the contact (0.5 s)",
 )
 def ends_early(motion: MeasuredMotion) -> Iterator[Said]:
-    """A source that stopped before the others."""
+    """Yield a finding for each source whose messages end before those of another source.
+
+    The ends are compared by arrival, or by stamp where the arrivals are not known.  Sources with
+    fewer than ``MIN_MESSAGES`` messages are ignored.
+    """
     channels = [c for c in motion.measured.channels if c.count >= MIN_MESSAGES]
     if len(channels) < 2:
         return
@@ -147,7 +154,10 @@ def ends_early(motion: MeasuredMotion) -> Iterator[Said]:
     reason="half of the rate is a ratio of 2; a driver's own rate varies by a few percent",
 )
 def rate_changes(motion: MeasuredMotion) -> Iterator[Said]:
-    """A source with half of the rate that it had."""
+    """Yield a finding for each source whose rate has about doubled or halved.
+
+    The rates are those of the stamps.
+    """
     for channel in motion.measured.channels:
         third = channel.count // 3
         if third < _MIN_THIRD:
@@ -162,7 +172,11 @@ def rate_changes(motion: MeasuredMotion) -> Iterator[Said]:
 
 
 def _interval(t: np.ndarray) -> float:
-    """Return the median time between messages (n,), s; of clumps their mean."""
+    """Return the typical time between messages with the times ``t`` (n,), s; 0 if n < 2.
+
+    It is the median interval.  If messages come in clumps, most intervals are near 0, and the mean
+    interval is returned instead.
+    """
     if len(t) < 2:
         return 0.0
     ordered = np.sort(t)

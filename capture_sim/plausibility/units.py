@@ -11,17 +11,19 @@ from capture_sim.plausibility.motion import MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
 from capture_sim.plausibility.signals import noise
 
-#: Units that drivers send in place of m and rad.
+#: Units of length that drivers send in place of m, with their size in m.
 LENGTHS = {"mm": 1e-3, "cm": 1e-2, "inch": 0.0254, "foot": 0.3048}
-#: Vehicles that never come nearer than this times the distance at contact are no bench's.
+#: Positions are doubted if the vehicles always stay further apart than the first number times the
+#: distance at contact, or always nearer than the second number times that distance.
 _FAR, _NEAR = 10.0, 0.5
-#: ... without a scene, m.
+#: Without a scene, positions are doubted if the vehicles always stay further apart than this, m.
 _MAX_BENCH_SIZE = 20.0
-#: A stroke or torsion beyond this times what the approach's energy can cause is in another unit.
+#: A stroke or torsion is in another unit if it exceeds this number times the deflection that the
+#: kinetic energy of the approach can cause.
 _ENERGY_MARGIN = 8.0
 #: Least limits of stroke, m, and torsion, rad, whatever the energy.
 _MIN_STROKE_LIMIT, _MIN_TORSION_LIMIT = 0.05, 0.1
-#: Noise of an encoder beyond this is that of another unit, m and rad.
+#: The unit of an encoder is doubted if its noise is above this, m (stroke) and rad (torsion).
 _MAX_NOISE = (2e-3, 2e-2)
 #: Strokes beyond a stop by this are doubted, m: stops yield, and encoders have an offset.
 _STOP_MARGIN = 2e-3
@@ -37,7 +39,7 @@ _STOP_MARGIN = 2e-3
     "below a half the bodies overlap",
 )
 def position_units(motion: MeasuredMotion) -> Iterator[Said]:
-    """Positions in mm, inch or another unit than m."""
+    """Yield a finding if the distance between the vehicles shows that positions are not in m."""
     if motion.pair is None:
         return
     nearest = float(np.percentile(motion.distance, 2.0))
@@ -66,7 +68,11 @@ def position_units(motion: MeasuredMotion) -> Iterator[Said]:
 
 
 def _unit_of(motion: MeasuredMotion, expected: float) -> str:
-    """Return the unit in which the distance is that at contact, within a factor of 2; or none."""
+    """Return the unit in which the positions seem to be, e.g. "mm (the chaser's)"; "" if unknown.
+
+    In that unit, the smallest distance between the vehicles is 0.6 to 3 times ``expected``, the
+    distance at contact, m.  Positions of both vehicles or of one of them may be in that unit.
+    """
     assert motion.pair is not None
     of_c, of_t = motion.pair.chaser[:, :2], motion.pair.target[:, :2]
     # both vehicles before one alone: a small factor of one hides its position altogether
@@ -94,7 +100,10 @@ def _unit_of(motion: MeasuredMotion, expected: float) -> str:
     needs_scene=True,
 )
 def buffer_units(motion: MeasuredMotion) -> Iterator[Said]:
-    """Strokes in mm or inch, torsions in deg."""
+    """Yield a finding for each of stroke (if not in m) and torsion (if not in rad).
+
+    Noise that is too large for m and rad makes a single finding for both.
+    """
     buffer, scene = motion.buffer, motion.scene
     if buffer is None or scene is None:
         return
@@ -138,7 +147,11 @@ def _deflection_unit(value: float, largest: float, units: dict[str, float]) -> s
 
 
 def _speed(motion: MeasuredMotion) -> float:
-    """Return the largest relative speed of the approach, m/s, by poses, and by plan at least."""
+    """Return the largest relative speed of the vehicles in the approach by the scene, m/s.
+
+    It is the largest of the speeds of the launch plan, the relative initial speed and 0.05 m/s.
+    Measured poses are not used.
+    """
     from capture_sim.scene.launch_plan import plan_launch
 
     assert motion.scene is not None
@@ -157,7 +170,7 @@ def _speed(motion: MeasuredMotion) -> float:
     needs_scene=True,
 )
 def beyond_stop(motion: MeasuredMotion) -> Iterator[Said]:
-    """A stroke that the stops do not allow."""
+    """Yield a finding for each stop or seat of the scene that the stroke exceeds by over 2 mm."""
     buffer, scene = motion.buffer, motion.scene
     if buffer is None or scene is None:
         return

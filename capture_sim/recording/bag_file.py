@@ -1,4 +1,4 @@
-"""An MCAP file that rosbag2 reads: with its metadata, version 9, and qualities of service."""
+"""Writing MCAP files that rosbag2 reads: with rosbag2's metadata (version 9) and QoS profiles."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from capture_sim.messages.topics import Topic
 BAG_METADATA = "rosbag2"
 #: Uncompressed size of a chunk, bytes: what a kill can lose at most.
 CHUNK_SIZE = 128 * 1024
-#: Name, encoding and text of a message type.
+#: Name of a message type, encoding of its definition (e.g. ``ros2msg``), and its definition.
 Definition = tuple[str, str, bytes]
 
 # libyaml's takes a tenth of the time
@@ -27,7 +27,11 @@ _UNLIMITED = {"sec": 9223372036, "nsec": 854775807}  # as rosbag2 writes it
 
 @dataclass
 class TopicEntry:
-    """A topic of a bag: name, type, quality of service (rosbag2's list), hash, messages."""
+    """A topic of a bag, as rosbag2's metadata lists it.
+
+    ``qos_profiles`` has an item for each publisher, see :func:`qos_profile`; ``type_hash`` is the
+    hash by which ROS 2 identifies the message type; ``count`` is the number of messages so far.
+    """
 
     name: str
     type_name: str
@@ -37,10 +41,13 @@ class TopicEntry:
 
 
 class BagFile:
-    """Writes an MCAP file of this name that rosbag2 reads as it is."""
+    """Writes an MCAP file that rosbag2 can read without conversion.
+
+    ``file`` is open for writing, and stays open; ``name`` is the file name in rosbag2's metadata.
+    """
 
     def __init__(self, file: IO[bytes], name: str) -> None:
-        #: mcap's own, for attachments and further metadata.
+        #: Writer of the library mcap, for attachments and further metadata.
         self.writer = Writer(file, chunk_size=CHUNK_SIZE, enable_data_crcs=True)
         self.writer.start("ros2")
         #: Earliest and latest log time so far, ns; None without a message.
@@ -51,7 +58,7 @@ class BagFile:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Messages so far, by topic; one may have several channels."""
+        """Number of messages so far, by topic; those of all channels of a topic are added up."""
         counts: dict[str, int] = {}
         for topic in self._topics.values():
             counts[topic.name] = counts.get(topic.name, 0) + topic.count
@@ -60,7 +67,12 @@ class BagFile:
     def add_topic(
         self, topic: TopicEntry, encoding: str, schema: Definition | None, metadata: dict[str, str]
     ) -> int:
-        """Write a topic, and its type unless the file has it; return the channel's id."""
+        """Write a channel for a topic, and return the channel's id.
+
+        ``encoding`` is that of the messages, e.g. ``cdr``.  ``schema``, the message type, is
+        written unless the file has it already; None if it is unknown.  ``metadata`` are further
+        texts for the channel, by name.
+        """
         if schema is not None and schema not in self._schemas:
             self._schemas[schema] = self.writer.register_schema(*schema)
         schema_id = 0 if schema is None else self._schemas[schema]
@@ -76,7 +88,10 @@ class BagFile:
         publish_time: int,
         sequence: int | None = None,
     ) -> None:
-        """Write a message; without a sequence number as the next of its channel; times in ns."""
+        """Write a serialised message to a channel; times are in ns.
+
+        ``sequence`` is the message's number in MCAP; None to number it next in its topic entry.
+        """
         topic, span = self._topics[channel], self.span
         number = topic.count if sequence is None else sequence
         self.writer.add_message(channel, log_time, data, publish_time, number)
@@ -86,13 +101,16 @@ class BagFile:
             self.span = min(first, log_time), max(last, log_time)
 
     def finish(self, custom: Mapping[str, str]) -> None:
-        """Write rosbag2's metadata with ``custom`` entries, index and summary."""
+        """Write rosbag2's metadata, the index and the summary; this ends the MCAP file.
+
+        ``custom`` are entries for ``custom_data`` in that metadata.  The file stays open.
+        """
         text = dump(self._metadata(custom))
         self.writer.add_metadata(BAG_METADATA, {"serialized_metadata": text})
         self.writer.finish()
 
     def _metadata(self, custom: Mapping[str, str]) -> dict[str, object]:
-        """Return the contents of ``metadata.yaml`` under rosbag2's key."""
+        """Return rosbag2's metadata of this file: what ``metadata.yaml`` has under its only key."""
         counts = self.counts
         first, last = self.span or (EPOCH_NS, EPOCH_NS)
         span = {
@@ -128,7 +146,7 @@ class BagFile:
 
 
 def qos_profile(topic: Topic) -> dict[str, object]:
-    """Return a topic's quality of service as rosbag2 writes it."""
+    """Return a topic's quality of service in the form in which rosbag2 writes it."""
     return {
         "history": "keep_last" if topic.keeps_last else "keep_all",
         "depth": topic.depth,
@@ -143,7 +161,7 @@ def qos_profile(topic: Topic) -> dict[str, object]:
 
 
 def dump(data: object) -> str:
-    """Return data as YAML, without anchors, which rosbag2's reader does not know."""
+    """Return data as YAML text without anchors, because rosbag2's reader does not accept them."""
     return yaml.dump(data, Dumper=_Plain, sort_keys=False)
 
 

@@ -1,4 +1,4 @@
-"""The files of a bag: which of a folder are read, in which order, and which are not."""
+"""Selection of the files in a bag's folder that are read, and the order of reading."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from capture_sim.errors import RecordingError
 
 #: The file that rosbag2 looks for in a bag's folder.
 FILE_NAME = "metadata.yaml"
-#: The key of all its contents.
+#: The only top-level key of that file.
 IN_FOLDER = "rosbag2_bagfile_information"
 #: Ends of the names of compressed files.
 _PACKED = (".zst", ".zstd", ".lz4")
@@ -22,7 +22,7 @@ _NAME = re.compile(r"(?P<stem>.*?)(?P<kind>\.mcap|\.db3)(?P<packed>\.zstd?|\.lz4
 
 
 class BagFiles(NamedTuple):
-    """The files of a bag."""
+    """The files of a bag that are read, and those of its folder that are not."""
 
     files: tuple[Path, ...]  # in the order in which they are read
     left_out: dict[str, str]  # why a file of the folder is not read, by its name
@@ -30,30 +30,31 @@ class BagFiles(NamedTuple):
 
 
 def is_bag_file(name: str) -> bool:
-    """Return True if a file has the name of a bag's file, compressed or not."""
+    """Return True if a file name ends with .mcap or .db3, or these and .zst, .zstd or .lz4."""
     return _NAME.fullmatch(name) is not None
 
 
 def is_bag(folder: Path) -> bool:
-    """Return True if a path is a folder with a recording in it."""
+    """Return True if a path is a folder that contains a bag's file or ``metadata.yaml``."""
     if not folder.is_dir():
         return False
     return (folder / FILE_NAME).is_file() or any(map(_is_part, folder.iterdir()))
 
 
 def stem_of(path: Path) -> str:
-    """Return the name of a recording, file or folder, without the ends that tell its kind."""
+    """Return the name of a recording's file or folder without suffixes such as ``.db3.zstd``."""
     found = _NAME.fullmatch(path.name)
     return path.name if found is None else found.group("stem")
 
 
 def bag_files(path: Path) -> BagFiles:
-    """Return the files of a bag; for a single file, that file.
+    """Return the files of a bag; for the path of a single file, that file.
 
-    In a folder these are the files in ``metadata.yaml``, then files that continue their numbers: a
-    recorder that was killed has not listed its last file.  Without a readable ``metadata.yaml``
-    they are all files, by number.  A copy of another file is left out.  RecordingError if the
-    folder contains no file.
+    In a folder these are the files that ``metadata.yaml`` lists, whether they exist or not, then
+    files of the same name whose numbers follow, because a recorder that was killed has not listed
+    its last file.  If ``metadata.yaml`` is absent, unreadable or lists no file, they are all bag
+    files of the folder, by number.  A copy of another file, also a compressed one, is left out.
+    RecordingError if the folder contains no bag file.
     """
     if not path.is_dir():
         return BagFiles((path,), {})
@@ -85,7 +86,10 @@ def _is_part(path: Path) -> bool:
 
 
 def _listed(path: Path, left_out: dict[str, str]) -> list[Path] | None:
-    """Return the files that a bag's metadata lists; None if it has none that can be read."""
+    """Return the files that ``metadata.yaml`` in a folder lists; None if it lists none.
+
+    None, too, if that file is absent or cannot be read; the latter is noted in ``left_out``.
+    """
     try:
         text = (path / FILE_NAME).read_text(encoding="utf-8")
     except FileNotFoundError:  # the recorder was killed
@@ -104,14 +108,14 @@ def _listed(path: Path, left_out: dict[str, str]) -> list[Path] | None:
 
 
 def _continues(file: Path, files: Sequence[Path]) -> bool:
-    """Return True if a file has the number after that of the last file."""
+    """Return True if a file's name is that of the last of ``files`` with the next number."""
     last, (number, stem, suffix) = files[-1], _parts_of(file)
     last_number, last_stem, last_suffix = _parts_of(last)
     return (stem, suffix, number) == (last_stem, last_suffix, last_number + 1) and number > 0
 
 
 def _parts_of(path: Path) -> tuple[int, str, str]:
-    """Return number, name without it, and kind of a bag's file."""
+    """Return the number at the end of a file's name, -1 if none, the rest, and the suffix."""
     found = _NAME.fullmatch(path.name)
     name, kind = (path.stem, path.suffix) if found is None else found.group("stem", "kind")
     stem, _, digits = name.rpartition("_")

@@ -1,4 +1,4 @@
-"""The part of the live recorder without ROS: serialised messages in, one checked recording out."""
+"""Recorder of one run from serialised messages, without ROS; the recorder node uses it."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ STALL_LIMIT = 5.0
 
 @dataclass(frozen=True)
 class RecordingReport:
-    """The outcome of a recording."""
+    """Outcome of a live recording: its file, what is missing in it, and a summary."""
 
     path: Path  # the file
-    complete: bool  # every publisher has ended its streams, and every message was received
+    complete: bool  # True if there are no problems
     # messages received, expected and missing, by topic name
     topics: Mapping[str, TopicCount]
     problems: tuple[str, ...]  # one line for each; empty if the recording is complete
@@ -55,20 +55,23 @@ class RecordingReport:
 
 
 class LiveRecorder:
-    """Records one run from serialised messages into a folder.
+    """Recorder of one run, which writes serialised messages to a new file in a folder.
 
-    ``info``: the run's RunInfo, serialised, which names the file and is written first; MessageError
-    if its bytes are invalid.  Messages are written by a thread of the recorder's own, logged at the
-    simulated time of their stamp, or, without a simulator, at the time of their arrival.  The
-    publishers' StreamCounts are written last, since they carry no time.
+    ``info`` is the run's serialised RunInfo message.  It names the file and is written first;
+    MessageError if its bytes are invalid.  A separate thread writes the messages.  The log time of
+    a message is the simulated time in its stamp if the run has a simulator, else the time of its
+    arrival.  The StreamCounts messages of the publishers have no stamp and are written last.
 
-    ``topics`` are recorded, the bench's or others, and always StreamCounts; other topics are
-    ignored.  Each of ``required`` must have messages for a complete recording.  ``remaps`` are the
-    names in the file of topics that do not have the bench's.  The waiting messages need at most
-    ``queue_bytes`` of memory, and as much again while they are written.
+    ``topics`` are the topics to record; they may include topics of the user's own.  RunInfo and
+    StreamCounts are always recorded, and messages of further topics are ignored.  A recording in
+    which one of the ``required`` topics has no message is not complete, unless the topic's
+    publisher reports that it sent none.  ``remaps`` are the recorded names of topics that the user
+    has renamed.  The messages that wait to be written need about ``queue_bytes`` of memory at
+    most, and as much again while they are written.
 
-    :meth:`take` may be called from any one thread.  All raise RecordingError if the file cannot be
-    written.  ``run``: the recorded run; ``path``: its file.
+    All calls of :meth:`take` must come from one thread, which may be any thread.  The constructor
+    and all methods raise RecordingError if the file cannot be written.  The attribute ``run``
+    describes the recorded run, and ``path`` is the path of its file.
     """
 
     def __init__(
@@ -102,13 +105,19 @@ class LiveRecorder:
 
     @property
     def done(self) -> bool:
-        """True if all publishers have ended the run and all their messages were received."""
+        """True if all publishers have reported their message counts and these have arrived.
+
+        Of a topic whose newest message replaces earlier ones, only the last message must arrive.
+        """
         return self._completeness.satisfied
 
     def take(self, topic: Topic, data: bytes, arrival: int | None = None) -> None:
-        """Record a serialised message; MessageError if the bytes are invalid.
+        """Record a serialised message.
 
-        ``arrival`` is its time of arrival, ns of the wall clock; by default now.
+        ``arrival`` is its time of arrival by the wall clock, ns (None: now); it is used only in a
+        run without a simulator.  Messages of topics that are not recorded, and StreamCounts of
+        other runs, are ignored.  MessageError if the bytes are invalid, RecordingError after
+        :meth:`close`.
         """
         if self._report is not None:
             raise RecordingError(f"{topic.name}: message after the recording was closed")
@@ -123,10 +132,11 @@ class LiveRecorder:
             self._queue.put(topic, data, stamp)
 
     def close(self) -> RecordingReport:
-        """Write all waiting messages, then the closing metadata, and close the file.
+        """Write all waiting messages and the closing metadata, close the file; return the report.
 
-        RecordingError if the disk stalls; the file then ends with the last message that was
-        written.
+        RecordingError if the file cannot be written, or if the disk writes nothing for
+        :data:`STALL_LIMIT` seconds; the file then ends with the last message that was written.
+        A second call only returns the report again.
         """
         if self._report is None:
             problems = self._completeness.problems()
@@ -163,9 +173,10 @@ class LiveRecorder:
 
 
 def _open_new(directory: Path, run: RunDescription, **options: Any) -> RunWriter:
-    """Open ``<name>.mcap``; if that file exists, ``<name>_2.mcap``, and so on.
+    """Create ``<name of the run>.mcap``; if that file exists, ``<name>_2.mcap``, and so on.
 
-    A live recording has its final name from the start, so after a kill its user finds it there.
+    A live recording has its final name from the start, so that its user finds it under this name
+    even if the recorder was killed.
     """
     while True:
         path = free_path(directory / f"{file_name(run.name)}.mcap")
@@ -182,10 +193,11 @@ _Waiting = tuple[Topic, bytes, int | None]
 
 
 class _WriteQueue:
-    """Hands messages to the file in a thread of its own, in batches, in bounded memory.
+    """Queue of bounded size whose own thread writes messages to the file, in batches.
 
-    The thread polls every :data:`WRITE_PERIOD`.  Waking it for each message would cost more than
-    the writing at 1 kHz.  A failure is kept: every later call raises it too.
+    The thread polls the queue every :data:`WRITE_PERIOD`, because at 1 kHz waking it for each
+    message would cost more than the writing.  After a failure of the thread, every later call
+    raises its RecordingError.
     """
 
     def __init__(self, writer: RunWriter, limit: int) -> None:
@@ -200,7 +212,11 @@ class _WriteQueue:
         self._thread.start()
 
     def put(self, *message: *_Waiting) -> None:
-        """Append a message; wait while the queue is full and the disk writes."""
+        """Append a message; if the queue is full, wait for space while the disk writes.
+
+        RecordingError if the disk has written nothing for :data:`STALL_LIMIT`, or if writing has
+        failed.
+        """
         with self._lock:
             began = time.monotonic()
             while self._is_full and self._error is None:
@@ -215,9 +231,10 @@ class _WriteQueue:
             self._bytes += len(message[1]) + MESSAGE_COST
 
     def close(self, closing: dict[str, str]) -> None:
-        """Write all that waits, then the closing metadata, and close the file.
+        """Write all waiting messages, then the closing metadata, and close the file.
 
-        RecordingError if the disk stalls: the file then ends with what it has taken.
+        RecordingError if writing fails, or if nothing is written for :data:`STALL_LIMIT` seconds;
+        the file then ends with the last message that was written.
         """
         with self._lock:
             self._closing = closing

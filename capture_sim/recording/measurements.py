@@ -1,4 +1,4 @@
-"""The series in a bag: from the topics that a real bench publishes too."""
+"""Time series and detector measurements in a recording, of a simulated run or a real bench."""
 
 from __future__ import annotations
 
@@ -48,13 +48,20 @@ _BUFFER_QUANTITIES = ("stroke", "torsion", "stroke_rate", "torsion_rate")
 
 
 def series_of(bag: Bag) -> SeriesBySource:
-    """Return every series of a bag by quantity and source; topics are decoded at their first use.
+    """Return the time series of a recording by quantity and source.
 
-    The source of a series is the name of its topic.  Quantities are those of
-    :func:`capture_sim.run.series.series_in`, and ``tip_force`` and ``cone_force`` (N, on the tip,
-    in the axes of the tip and of the cone), those of ``bench/contact`` (in_touch, walls,
-    touches_begun, normal_force, peak_force) and ``bench/string`` (string_phase, string_tension,
-    mass_height, mass_speed).  A quantity that was not measured is absent.
+    The source of a series is the name of its topic; the topic is decoded when the series is first
+    used.  The quantities are:
+
+    - those of :func:`capture_sim.run.series.series_in`;
+    - ``tip_force`` and ``cone_force``, the force on the tip, (n, 2), N, in the axes of the tip and
+      of the cone;
+    - from ``bench/contact``: in_touch, walls, touches_begun, normal_force and peak_force;
+    - from ``bench/string``: string_phase, string_tension, mass_height and mass_speed.
+
+    A quantity is absent if none of its topics has messages.  If a topic has messages of another
+    type than the bench's, the use of its series raises RecordingError; ``bench/state`` and
+    ``capture/status`` of another type give no series.
     """
     makers: dict[str, dict[str, Callable[[], Series]]] = {}
 
@@ -87,7 +94,10 @@ def series_of(bag: Bag) -> SeriesBySource:
 
 
 def commanded_launch(bag: Bag, scene: Scene | None) -> LaunchPlan | None:
-    """Return the launch as it was commanded; None if it was not recorded."""
+    """Return the scene's launch plan with hanging mass and drop height of the last LaunchCommand.
+
+    None if no LaunchCommand is recorded, or if there is no scene or it has no string.
+    """
     if scene is None or scene.string is None or not bag.holds(topics.LAUNCH_COMMAND):
         return None
     columns = bag.columns(topics.LAUNCH_COMMAND)
@@ -106,7 +116,10 @@ def _exact(exact: Deferred[dict[str, Series]], quantity: str) -> Series:
 
 
 def live_conditions(bag: Bag) -> LiveConditions:
-    """Return the run's measurements that the live detector had."""
+    """Return the conditions under which the live detector evaluated the recorded run.
+
+    Of a real bench with a final status, the last instant to evaluate is the time of that status.
+    """
     last = math.inf
     if not bag.is_simulated and bag.holds(topics.CAPTURE_STATUS) and bag.statuses[-1].final:
         last = bag.statuses[-1].t + TICK
@@ -114,10 +127,16 @@ def live_conditions(bag: Bag) -> LiveConditions:
 
 
 def received_in(bag: Bag, scene: Scene | None) -> list[Received]:
-    """Return the measurements that the live detector has received, in the order of their arrival.
+    """Return the measurements that the live detector has received, in the order of log times.
 
-    It has ignored messages before the announcement of a bench's trial, and after its end; each
-    node has its own moment of both.  RecordingError if the bag lacks a source.
+    The scene decides which topics of a simulated run the detector reads.  Of a real bench, messages
+    logged before the announcement of the trial (RunInfo) or after the detector's final status are
+    left out, because the live detector ignores them; as each node receives these messages at a
+    slightly different time, the selection may differ from the detector's by a few messages.
+    Messages that cannot be decoded or have the stamp 0 are left out.
+
+    RecordingError if one of the sources (chaser, target, buffer) has no message, or none that
+    gives a measurement.
     """
     begin, end = 0, sys.maxsize  # ns
     if not bag.is_simulated:
@@ -159,28 +178,34 @@ def received_in(bag: Bag, scene: Scene | None) -> list[Received]:
 
 
 def _poses(bag: Bag, topic: Topic) -> Series:
-    """Return poses (n, 3): x, y (m), heading (rad)."""
+    """Return the poses in a topic, (n, 3): x, y (m) and heading (rad, without jumps by a turn)."""
     stamps, values, log_times = bag.measured(topic)
     return bag.in_order(stamps, values[:, :3], log_times, angle=_HEADING)
 
 
 def _rates(bag: Bag, topic: Topic) -> Series:
-    """Return the rates of an odometry's poses in the world, (n, 3): m/s, m/s, rad/s."""
+    """Return the velocities in an odometry topic, (n, 3): x, y (m/s) in the world, yaw (rad/s)."""
     stamps, values, log_times = bag.measured(topic)
     return bag.in_order(stamps, values[:, 3:], log_times)
 
 
 def _buffer(bag: Bag, topic: Topic, column: int) -> Series:
-    """Return stroke (m), torsion (rad) or one of their rates, (n,)."""
+    """Return one quantity of the buffer, (n,), SI units.
+
+    ``column`` is its index in :data:`_BUFFER_QUANTITIES`.
+    """
     stamps, values, log_times = bag.measured(topic)
     return bag.in_order(stamps, values[:, column], log_times)
 
 
 def _force(bag: Bag, topic: Topic) -> Series:
-    """Return the force on the tip, (n, 2), N; the load cell reads the opposite.
+    """Return the force on the tip, (n, 2), N.
 
-    A load cell's is in the cone's axes, any other in the tip's; the poses turn it there from the
-    axes of its ``frame_id``.  Empty if these are unknown.
+    A load cell measures the opposite force, the one on the cone, so its sign is changed.  The
+    result of a load cell is in the cone's axes, that of another topic in the tip's axes.  A force
+    whose ``frame_id`` names other axes is rotated by the measured headings and torsion, each taken
+    as 0 where it was not measured; an empty ``frame_id`` means the axes of the result.  The series
+    is empty if the ``frame_id`` is unknown, or not equal in all messages.
     """
     sign = -1.0 if topic is topics.LOAD_CELL else 1.0
     names = ("wrench.force.x", "wrench.force.y")
@@ -204,7 +229,11 @@ def _force(bag: Bag, topic: Topic) -> Series:
 
 
 def _angle(bag: Bag, name: str, t: np.ndarray) -> np.ndarray:
-    """Return an angle that turns forces, (n,), rad, at times (n,), s; 0 if it was not measured."""
+    """Return the torsion, or the heading of a vehicle, (n,), rad, at times (n,), s.
+
+    ``name`` is ``torsion``, ``chaser`` or ``target``.  The angle is interpolated between
+    measurements, and 0 if it was not measured.
+    """
     if name == "torsion":
         column = _BUFFER_QUANTITIES.index(name)
         found = [_buffer(bag, b, column) for b in _BUFFERS if bag.holds(b)]
@@ -228,7 +257,10 @@ def _field(bag: Bag, topic: Topic, field: str) -> Series:
 
 
 def _distances(bag: Bag) -> Series:
-    """Return the closest approach so far, of the path that the detector estimates, (n,), m."""
+    """Return the smallest distance so far from the tip's centre to the centre of BE, (n,), m.
+
+    The values are the detector's, at the times of its statuses.
+    """
     statuses = [s for s in bag.statuses if np.isfinite([s.t, s.nearest_distance]).all()]
     t, values = (
         np.array([getattr(s, name) for s in statuses]) for name in ("t", "nearest_distance")

@@ -20,7 +20,7 @@ RUN_UP = 2e-3
 
 @dataclass(frozen=True)
 class Approach(Checked):
-    """The motion of the chaser just before the touch: free, without rail and string."""
+    """The motion of the chaser just before the first touch: free, without rail and string."""
 
     angle: float = quantity(
         "rad", Range(-math.pi / 2, math.pi / 2), default=0.0, doc="target's heading less chaser's"
@@ -42,10 +42,12 @@ class Approach(Checked):
     )
 
     def path_offset(self, cone: Cone) -> float:
-        """Return the offset of the path from the target's centre of mass, m.
+        """Return how far the chaser's path passes to the left of the target's centre of mass, m.
 
-        The centre of the mouth lies ``L_T + L_c cos(beta)`` from the target's centre of mass,
-        towards the chaser; a target that is turned to the left has it on its right.
+        This is ``offset``, or is computed from ``mouth_offset`` if that is given.  The centre of
+        the cone's mouth lies ``L_T + L_c cos(beta)`` from the target's centre of mass, towards the
+        chaser.  Seen along the chaser's heading, a target that is turned to the left has its mouth
+        to the right of its centre of mass.
         """
         if self.mouth_offset is None:
             return self.offset
@@ -58,9 +60,12 @@ APPROACH = tuple(f"approach.{name}" for name in declared(Approach))
 
 
 def approach_of(scene: Scene) -> Approach:
-    """Return the approach of a scene's chaser to the cone.
+    """Return the approach of a scene's chaser to the cone, with ``offset``, not ``mouth_offset``.
 
-    Raises SceneError if the straight path misses the cone.
+    The chaser is assumed to move along its heading.  SceneError if its straight path misses the
+    cone, if it stops before the cone, if its string cannot be planned (see
+    :func:`capture_sim.scene.launch_plan.plan_launch`), or if a value of the approach is out of its
+    range, e.g. an angle above 90 degrees.
     """
     chaser, target = scene.initial.chaser, scene.initial.target
     plan = plan_launch(scene)
@@ -75,7 +80,8 @@ def approach_of(scene: Scene) -> Approach:
 def with_approach(approach: Approach, given: Mapping[str, float]) -> Approach:
     """Return an approach with other values, by their names in :class:`Approach`.
 
-    SceneError if a value is out of its range, or both offsets are given.
+    An ``offset`` removes the ``mouth_offset`` of the earlier approach.  SceneError if a value is
+    out of its range, or if both ``offset`` and ``mouth_offset`` are given.
     """
     if "offset" in given and given.get("mouth_offset") is not None:
         raise SceneError("approach.mouth_offset: must be given without approach.offset")
@@ -85,9 +91,12 @@ def with_approach(approach: Approach, given: Mapping[str, float]) -> Approach:
 
 
 def approached(scene: Scene, given: Mapping[str, Any]) -> Scene:
-    """Return a scene with this approach; values that are not given keep the scene's.
+    """Return a scene that starts just before its first touch, with the given approach.
 
-    SceneError if a name or a value is invalid.
+    ``given`` has values by their names in :class:`Approach`; numbers are in SI units, texts may
+    have a unit.  Values that are not given remain those of the scene's own approach.  SceneError
+    if a name or a value is invalid, or if a value is not given and the scene's chaser does not
+    reach the cone.
     """
     fields = declared(Approach)
     for name in given:
@@ -102,12 +111,12 @@ def approached(scene: Scene, given: Mapping[str, Any]) -> Scene:
 
 
 def placed(scene: Scene, approach: Approach, run_up: float = RUN_UP) -> Scene:
-    """Return a scene that starts ``run_up`` (m) before the first touch, approached as asked.
+    """Return a scene that starts a distance ``run_up`` (m) before the first touch.
 
-    The chaser keeps its heading, the target its place; the target is turned by the angle of the
-    approach relative to the chaser.  Rail and string are removed.  Where the straight path touches
-    no wall, because it passes the cone or its throat, the scene starts with the tip in front of
-    the cone.
+    The chaser keeps its heading, and moves along it with the offset and the speed of ``approach``.
+    The target keeps its position, is at rest, and is turned by the angle of the approach relative
+    to the chaser.  Rail and string are removed.  If the straight path touches no wall, because it
+    misses the cone or goes through its throat, the scene starts with the tip in front of the cone.
     """
     heading, target = scene.initial.chaser.theta, scene.initial.target
     offset, speed = approach.path_offset(scene.cone), approach.speed

@@ -10,10 +10,11 @@ from capture_sim.scene.parts import Scene
 
 
 def ball_loads(balls: np.ndarray, weight: float, x_com: float, y_com: float) -> np.ndarray:
-    """Return the normal loads (3,) of the balls by static equilibrium, N; negative if it tips over.
+    """Return the normal load of each of three balls by static equilibrium, (3,), N.
 
-    ``balls`` (3, 2) and the centre of mass are in the vehicle's frame, m; ``weight`` in N.
-    numpy.linalg.LinAlgError if the balls are in one line.
+    A negative load means that the vehicle would tip over.  ``balls`` (3, 2) and the centre of mass
+    (``x_com``, ``y_com``) are in the vehicle's frame, m; ``weight`` is in N.
+    numpy.linalg.LinAlgError if the balls are exactly in one line.
     """
     matrix = np.vstack([np.ones(3), balls[:, 0], balls[:, 1]])
     loads: np.ndarray = np.linalg.solve(matrix, weight * np.array([1.0, x_com, y_com]))
@@ -21,7 +22,10 @@ def ball_loads(balls: np.ndarray, weight: float, x_com: float, y_com: float) -> 
 
 
 def chaser_com_offset(scene: Scene) -> float:
-    """Return the distance from the body's centre of mass forward to the complete chaser's, m."""
+    """Return how far forward of its main body's centre of mass the chaser's centre of mass is, m.
+
+    The chaser includes cylinder and probe, with the buffer at rest.
+    """
     cylinder = scene.buffer.hinge_offset - scene.cylinder.length / 2.0
     probe = scene.buffer.hinge_offset + scene.rest_length - scene.probe.com_offset
     moment = scene.cylinder.mass * cylinder + scene.probe.mass * probe
@@ -36,9 +40,10 @@ LOADS = (
 
 
 def loads(scene: Scene, vehicle: str) -> np.ndarray:
-    """Return the loads (3,) of the balls under ``"chaser"`` or ``"target"``, N.
+    """Return the loads of the three balls under ``vehicle``, (3,), N; the array is read-only.
 
-    The buffer is at rest; the loads are not updated with its stroke, which changes them little.
+    ``vehicle`` is ``"chaser"`` or ``"target"``; the scene must have supports.  The loads are those
+    with the buffer at rest, and a run keeps them, because the stroke changes them little.
     """
     assert scene.supports is not None
     if vehicle == "chaser":

@@ -1,7 +1,7 @@
 """Results that depend on some fields of a scene, kept while these fields stay the same.
 
-The scenes of a study share every field that does not vary, so a rule on other fields that holds for
-one of them holds for all, and is evaluated once.
+All scenes of a study (e.g. a sweep) share the fields that the study does not vary.  A function that
+reads only such fields has the same result for all these scenes, and is therefore called once.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ T = TypeVar("T")
 class CachedFunction(Generic[T]):
     """A function of a scene that keeps its last result.
 
-    It is called again where one of its ``fields`` is another object.  The function must read no
-    other field, and its result must not be changed.
+    The function is called again only if one of its ``fields`` is another object (by ``is``) than
+    at the last call.  The function must read no other field, and callers must not change its
+    result.
     """
 
     def __init__(self, function: Callable[[Scene], T], fields: tuple[str, ...]) -> None:
@@ -30,7 +31,7 @@ class CachedFunction(Generic[T]):
         self._last: tuple[object, T] | None = None
 
     def __call__(self, scene: Scene) -> T:
-        """Return the result of the function for a scene."""
+        """Return the function's result for a scene; the kept result if its fields are the same."""
         found, last = self._read(scene), self._last
         if last is None or not self._is_same(found, last[0]):
             # the objects are kept with the result, so that no other can take their place in memory
@@ -46,9 +47,9 @@ class CachedFunction(Generic[T]):
 
 
 def depends_on(*fields: str) -> Callable[[Callable[[Scene], T]], CachedFunction[T]]:
-    """Return a decorator for a function of some fields of a scene; see :class:`CachedFunction`.
+    """Return a decorator that makes a function of a scene a :class:`CachedFunction`.
 
-    ``fields`` are parts (``"cone"``) or values in parts that each scene has
-    (``"buffer.hinge_offset"``).
+    ``fields`` are all fields of the scene that the function reads: parts (``"cone"``), or values
+    (``"buffer.hinge_offset"``) in parts that no scene is without.
     """
     return lambda function: CachedFunction(function, fields)

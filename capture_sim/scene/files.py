@@ -1,10 +1,11 @@
-"""Scenes as YAML: parsed, extended, overridden, built.
+"""Scenes from YAML: functions that parse a file, merge it with others and build the scene.
 
-A file may contain ``extends: other`` (a name next to it or in config/scenes); its own values
-override those of the other file.  ``null`` removes a part from the bench.
+A file may contain ``extends: other``, where ``other`` is the name of a file in the same folder or
+in config/scenes, or a path.  Its own values override those of the other file.  ``null`` removes a
+part from the bench.
 
-All external text passes through :func:`parse`, which limits its size, accepts plain values only,
-and reports every mistake in one line.
+All YAML text of scenes and overrides passes through :func:`parse`, which limits its size, accepts
+plain values only, and reports a mistake in one line.
 """
 
 from __future__ import annotations
@@ -102,14 +103,19 @@ _Loader.yaml_constructors = _constructors
 
 
 def _whole(text: str) -> int | float:
-    """Return an integer; infinity, which no field accepts, if it has too many digits for Python."""
+    """Return a text of digits as an integer.
+
+    A text of more than 4000 characters, which Python may refuse to convert, gives infinity, which
+    no field accepts.
+    """
     return int(text) if len(text) <= 4000 else -math.inf if text[0] == "-" else math.inf
 
 
 def parse(text: str, source: str) -> Any:
-    """Return the texts, numbers, lists and mappings of a YAML text.
+    """Return the content of a YAML text as plain Python values, lists and dictionaries.
 
-    SceneError, in one line with the name ``source``, if it is invalid.
+    An empty text gives None.  SceneError if the text is invalid or too long; its message is one
+    line that begins with ``source``, the name of the text's origin.
     """
     if len(text) > MAX_TEXT:
         raise SceneError(f"{source}: longer than {MAX_TEXT} characters")
@@ -130,7 +136,10 @@ _parse_cached = lru_cache(maxsize=32)(parse)
 
 
 def parse_scene(text: str, source: str) -> dict[str, Any]:
-    """Return the parts in a YAML text, unchecked; SceneError as from :func:`parse`."""
+    """Return the fields of a scene in a YAML text, unchecked, as a dictionary that may be changed.
+
+    SceneError if the text is invalid (see :func:`parse`) or is not a mapping.
+    """
     data = _parse_cached(text, source)
     if not isinstance(data, dict):
         content = "is empty" if data is None else f"holds {shown(data)}"
@@ -154,9 +163,11 @@ def scene_names() -> list[str]:
 
 
 def find_scene(name_or_path: str | Path, folder: Path | None = None) -> Path:
-    """Return the file of a scene, by its name or path; SceneError if there is none.
+    """Return the file of a scene, by its name or path; SceneError if there is no such file.
 
-    A path is relative to ``folder``, where a name is also looked up first.
+    A text that contains ``/`` or ends in .yaml or .yml is a path, relative to ``folder``, or to
+    the working directory without ``folder``.  Any other text is a name, which is looked up in
+    ``folder``, if given, then among the packaged scenes.
     """
     text = str(name_or_path)
     if text.endswith((".yaml", ".yml")) or "/" in text:
@@ -178,8 +189,9 @@ def find_scene(name_or_path: str | Path, folder: Path | None = None) -> Path:
 def read_scene(path: Path, files: list[Path]) -> dict[str, Any]:
     """Return the values of a scene file, merged over the files that it extends, unchecked.
 
-    ``files`` are the files whose ``extends`` led to this one, in order; this file and the files
-    that it extends are appended.  SceneError if a file is invalid.
+    ``files`` are the files whose ``extends`` led to this file, in order: an empty list for the
+    first.  This file and the files that it extends are appended to it.  SceneError if a file is
+    missing or invalid, if files extend each other in a circle, or if more than 20 do in a row.
     """
     resolved = path.resolve()
     if resolved in files:
@@ -204,7 +216,10 @@ def read_scene(path: Path, files: list[Path]) -> dict[str, Any]:
 
 
 def _merged(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested values of the base, replaced by ``changes`` where given."""
+    """Return the nested values of ``base``, with those of ``changes`` in place of or added to them.
+
+    Mappings in both are merged; neither argument is changed.
+    """
     merged = dict(base)
     for key, value in changes.items():
         if isinstance(value, Mapping):
@@ -219,12 +234,19 @@ Overrides = Iterable[str] | Mapping[str, Any]
 
 
 def has_overrides(overrides: Overrides) -> bool:
-    """Return True unless there is none; also of a row of a pandas table, which has no truth."""
+    """Return True if there are overrides, and for an iterator, whose length is unknown.
+
+    A row of a pandas table, whose truth value pandas does not define, is accepted too.
+    """
     return not isinstance(overrides, Sized) or len(overrides) > 0
 
 
 def override_items(overrides: Overrides) -> list[tuple[str, Any]]:
-    """Return the names and values of overrides; SceneError if one is not of their form."""
+    """Return the dotted names of overrides with their values, unchecked.
+
+    A single ``name=value`` text is accepted, too.  SceneError if a text is not of this form, or
+    its value is invalid YAML.
+    """
     if isinstance(overrides, str):
         overrides = [overrides]
     # a row of a pandas table has items(), but is no Mapping
@@ -233,7 +255,7 @@ def override_items(overrides: Overrides) -> list[tuple[str, Any]]:
 
 
 def override_texts(items: Iterable[tuple[str, Any]]) -> list[str]:
-    """Return overrides as ``name=value``."""
+    """Return overrides as ``name=value``, for display: long lists are abbreviated with ``...``."""
     return [f"{name}={_text_of(value)}" for name, value in items]
 
 
@@ -244,7 +266,10 @@ def _text_of(value: Any) -> str:
 
 
 def overridden(data: dict[str, Any], items: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a scene's data with the values of overrides."""
+    """Return the nested values of a scene with those of overrides, given as dotted name and value.
+
+    ``data`` is not changed.
+    """
     for name, value in items:
         nested = value
         for part in reversed(name.split(".", MAX_DEPTH)):
@@ -262,10 +287,11 @@ def _split_override(item: str) -> tuple[str, Any]:
 
 
 def build(data: Any, part: Any = Scene, where: str = "") -> Any:
-    """Return a scene, or a part of one, from a mapping by field names.
+    """Return a scene, or a part of one, from a nested mapping by field names.
 
-    ``part`` is its class and ``where`` its dotted name.  SceneError, in one line, names the wrong
-    fields with value, unit and range.
+    ``part`` is the class to build, and ``where`` its dotted name in messages, empty for a scene.
+    SceneError if a field is missing, unknown or wrong; its one line names up to five of them, with
+    value, unit and range.
     """
     mistakes: list[str] = []
     built = _build(data, part, where, mistakes)
@@ -277,7 +303,7 @@ def build(data: Any, part: Any = Scene, where: str = "") -> Any:
 
 
 def _build(data: Any, part: Any, where: str, mistakes: list[str]) -> Any:
-    """Return a part from a mapping; None if it has mistakes, which are added to the list."""
+    """Return a part from a mapping; None if it has mistakes, which are added to ``mistakes``."""
     if not isinstance(data, Mapping):
         example = next(iter(declared(part)))
         mistakes.append(str(refuse(where, data, "", f"its fields, e.g. {{{example}: VALUE}}")))
@@ -302,7 +328,10 @@ def _build(data: Any, part: Any, where: str, mistakes: list[str]) -> Any:
 
 
 def known_fields(data: Mapping[str, Any], part: type = Scene) -> dict[str, Any]:
-    """Return the fields of a part and of the parts in it that this version knows."""
+    """Return nested data of a part without the fields that this version does not know.
+
+    A recording by a newer version may contain such fields.
+    """
     kept = {}
     for name, spec in declared(part).items():
         if name in data:
@@ -315,7 +344,10 @@ def known_fields(data: Mapping[str, Any], part: type = Scene) -> dict[str, Any]:
 
 
 def _missing_hint(name: str, spec: Declared) -> str:
-    """Return the unit of a missing number, or how to get a part with all its default values."""
+    """Return the end of the message for a missing field.
+
+    It is the unit of a number, or how to get a part whose fields all have default values.
+    """
     is_part = dataclasses.is_dataclass(spec.kind)
     if is_part and not any(field.required for field in declared(spec.kind).values()):
         return f"; {name}: {{}} has all default values"
@@ -336,7 +368,7 @@ def _unknown_field(key: object, fields: Mapping[str, Declared], prefix: str) -> 
 
 
 def _inner_names(fields: Mapping[str, Declared], prefix: str = "") -> Iterator[str]:
-    """Yield the dotted names of the fields of the parts in a part."""
+    """Yield the dotted names of all fields of the parts that are among ``fields``, at any depth."""
     for name, spec in fields.items():
         if isinstance(spec.kind, type) and issubclass(spec.kind, Checked):
             inner_fields = declared(spec.kind)

@@ -1,10 +1,10 @@
 """Geometry of the tip and the cone: where the tip is, and its distance to the walls.
 
-In the target's frame the line BE lies at x = -L_T.  Both walls are described in
-(u, Y): u is the distance ahead of BE, towards the chaser; Y the offset from the axis
-towards the wall in question (+y for the one, -y for the other).  A wall runs from
-(0, R_c) over the generatrix L_c at the half-angle beta, and is a thin plate: the tip may
-meet its face, its inner edge and its outer lip.
+In the target's frame BE, the inner edge of the cone, lies at x = -L_T.  Each wall is described in
+coordinates (u, Y) of its own: u is the distance ahead of BE, towards the chaser; Y is the offset
+from the axis towards this wall, which is +y for the wall at +y and -y for the wall at -y.  A wall
+is a thin plate that begins at (0, R_c), R_c being the half-width of BE, and has the length L_c at
+the half-angle beta to the axis.  The tip may meet its face, its inner edge and its outer lip.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from capture_sim.base.compiled.kernels import inline_kernel
 def tip_motion(
     y: Any, a: float, sS: Any, cS: Any, sP: Any, cP: Any, sT: Any, cT: Any
 ) -> tuple[Any, Any, Any, Any]:
-    """Return the tip's position (m) and velocity (m/s) in the target's frame.
+    """Return the position (x, y), m, and velocity (x, y), m/s, of the tip in the target's frame.
 
-    ``y`` has coordinates and rates, (16,); ``a`` is the hinge's offset, m; sS to cT are the sines
-    and cosines of theta_S, theta_P and theta_T.
+    The velocity is that seen from the target, which may rotate.  ``y`` (16,) has the coordinates
+    x_S, y_S, theta_S, theta_P, h, x_T, y_T, theta_T (chaser, probe, target; m and rad), then their
+    rates.  ``a`` is the hinge's distance from the chaser's centre of mass, m.  sS to cT are the
+    sines and cosines of theta_S, theta_P and theta_T.
     """
     h, swing, spin = y[4], a * y[10], y[4] * y[11]
     rx = y[0] + a * cS + h * cP - y[5]
@@ -40,9 +42,11 @@ def tip_motion(
 def nearest_on_wall(
     u: float, Y: float, R_c: float, L_c: float, cos_b: float, sin_b: float
 ) -> tuple[float, float, float]:
-    """Return the tip's distance to a wall and the unit normal (n_u, n_Y) towards the tip.
+    """Return the distance of the tip's centre to a wall, and the unit normal towards the tip.
 
-    Lengths in m; the distance is to the tip's centre and never negative.
+    The result is (distance, n_u, n_Y); the distance (m) is never negative.  (u, Y) is the tip's
+    centre, m, as the module describes it; R_c and L_c are in m; cos_b and sin_b are those of the
+    half-angle.  A centre on the wall itself gets the normal of the face.
     """
     along = u * cos_b + (Y - R_c) * sin_b
     if along <= 0.0:
@@ -65,9 +69,11 @@ def nearest_on_wall(
 def wall_curvature(
     u: float, Y: float, distance: float, R_c: float, L_c: float, cos_b: float, sin_b: float
 ) -> float:
-    """Return the curvature of a wall's distance function across the normal, 1/m; 0 over its face.
+    """Return the curvature of a wall's distance function across the normal, 1/m.
 
-    ``distance`` (m) is the distance of the tip's centre, see :func:`nearest_on_wall`.
+    It is 0 where the face is nearest to the tip's centre (u, Y), and 1/distance where an end of
+    the wall is nearest, but 0 at a distance of 0.  ``distance`` (m) is that of
+    :func:`nearest_on_wall`, which also describes the arguments.
     """
     along = u * cos_b + (Y - R_c) * sin_b
     if 0.0 < along < L_c or distance == 0.0:
@@ -85,11 +91,12 @@ def travel_to_wall(
     L_c: float,
     beta: float,
 ) -> float:
-    """Return the travel of a tip of radius ``reach`` (m) along a line to its touch of a wall, m.
+    """Return how far a tip moves along a straight line until it touches a wall, m.
 
-    Its centre starts at (u, Y), m, in the unit direction (du, dY); ``inf`` if it misses the wall.
-    Closed form: the centres that touch are two lines parallel to the wall, joined by circles about
-    its ends.
+    The result is ``inf`` if the tip misses the wall.  The tip's radius is ``reach`` (m); its centre
+    starts at (u, Y), m, clear of the wall, and moves in the unit direction (du, dY).  R_c and L_c
+    are in m, ``beta`` is the half-angle, rad.  Closed form: where the tip touches, its centre is on
+    one of two lines parallel to the wall, or on a circle about one end of the wall.
     """
     cos_b, sin_b = math.cos(beta), math.sin(beta)
     hits = [math.inf]

@@ -1,12 +1,13 @@
-"""Motion of the chaser before the first touch, in closed form: its acceleration is constant twice.
+"""Motion of the chaser before the first touch, in closed form.
 
-While the mass sinks, chaser, mass and pulley are one freedom (``physics`` of the paper's
-section 6):
+Its acceleration is constant in each of two phases.  While the hanging mass m_h sinks, it moves
+together with the chaser (mass m) and the pulley (I_p, r_p), as one degree of freedom (section 6 of
+the paper):
 
     a = (m_h g - F_roll) / (m + m_h + I_p / r_p^2)
 
-then the chaser coasts against its rolling resistance, a = -F_roll / m.  Over a distance s, energy
-gives v^2 = v_0^2 + 2 a s.
+Then the chaser coasts against its rolling resistance F_roll, a = -F_roll / m.  Over a distance s of
+one phase, energy gives v^2 = v_0^2 + 2 a s.
 """
 
 from __future__ import annotations
@@ -20,27 +21,37 @@ from capture_sim.base.compiled.kernels import kernel
 def pulled_acceleration(
     hanging_mass: float, gravity: float, rolling: float, mass: float, pulley_mass: float
 ) -> float:
-    """Return the acceleration of chaser and sinking mass, m/s^2; negative if friction is larger.
+    """Return the acceleration of the chaser while the hanging mass pulls it, m/s^2.
 
-    ``rolling`` is the chaser's rolling resistance, N; ``pulley_mass`` is I_p / r_p^2, kg.
+    It is negative if the rolling resistance exceeds the weight of the hanging mass.
+    ``hanging_mass`` and ``mass``, that of the complete chaser, are in kg, ``gravity`` in m/s^2;
+    ``rolling`` is the chaser's rolling resistance, N; ``pulley_mass`` is the pulley's moment of
+    inertia divided by the square of its radius, kg.
     """
     return (hanging_mass * gravity - rolling) / (mass + hanging_mass + pulley_mass)
 
 
 @kernel
 def coasting_acceleration(rolling: float, mass: float) -> float:
-    """Return the acceleration (m/s^2) of a coasting mass (kg) by its rolling resistance (N)."""
+    """Return the acceleration (m/s^2, <= 0) of a coasting mass (kg) by a rolling resistance (N)."""
     return -rolling / mass
 
 
 @kernel
 def speed_after(speed: float, acceleration: float, distance: float) -> float:
-    """Return the speed (m/s) after a distance (m) from a speed; 0 if it stops before."""
+    """Return the speed (m/s) after a distance (m) at constant acceleration (m/s^2).
+
+    The result is 0 if the motion ends before.  ``speed`` (m/s) is that at the distance 0; a
+    negative distance gives the speed before.
+    """
     square = speed * speed + 2.0 * acceleration * distance
     return math.sqrt(square) if square > 0.0 else 0.0
 
 
 @kernel
 def time_between(speed: float, later_speed: float, distance: float) -> float:
-    """Return the time (s) over a distance (m) with these speeds (m/s) at its ends."""
+    """Return the time (s) for a distance (m) at constant acceleration.
+
+    ``speed`` and ``later_speed`` (m/s) are those at its start and its end; not both are 0.
+    """
     return 2.0 * distance / (speed + later_speed)

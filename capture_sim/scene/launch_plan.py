@@ -1,7 +1,8 @@
-"""The plan of a launch: which mass at which height.
+"""The plan of a launch: the mass on the string and its height, for a wanted impact speed.
 
-The chaser is pulled with a, then coasts, slowed by a_c (:mod:`capture_sim.scene.launch_motion`), to
-the first touch, a distance D from where it was released.  Energy over both parts gives
+The string pulls the chaser with the acceleration a until the mass has sunk by its drop height H.
+Then the chaser coasts, with the deceleration a_c, to the first touch, at the distance D from its
+release.  :mod:`capture_sim.scene.launch_motion` has both accelerations.  Energy gives
 
     v_impact^2 = 2 a H - 2 a_c (D - H)
 
@@ -30,7 +31,12 @@ _speed_after, _time_between = plain(speed_after), plain(time_between)
 
 
 class LaunchPlan(NamedTuple):
-    """Plan of a launch; SI units."""
+    """Plan of a launch: mass and height on the string, and the motion that they give; SI units.
+
+    In a scene without string, the chaser coasts from its release with its initial speed: the mass
+    lands at the time 0, and ``landing_speed`` is the initial speed.  ``impact_speed`` is 0 if no
+    touch is expected, e.g. because the chaser stops before.
+    """
 
     # hanging_mass, drop_height: kg and m; zero in a scene without string
     hanging_mass: float
@@ -44,7 +50,7 @@ class LaunchPlan(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The launch in words."""
+        """The launch in words, e.g. ``0.02 kg at 0.5 m for 0.1 m/s``."""
         how = "no string"
         if self.hanging_mass > 0.0:
             how = f"{self.hanging_mass:.6g} kg at {self.drop_height:.6g} m"
@@ -60,7 +66,10 @@ TIP_AT_RELEASE = (
 
 @depends_on(*TIP_AT_RELEASE)
 def tip_at_release(scene: Scene) -> tuple[float, float, float, float]:
-    """Return the tip's x and y (m) and the chaser's direction, all in the target's frame."""
+    """Return the tip's position (x, y), m, at the release, and the chaser's unit direction (x, y).
+
+    Both are in the target's frame; the direction is that of the chaser's heading.
+    """
     chaser, target = scene.initial.chaser, scene.initial.target
     s, c = math.sin(chaser.theta), math.cos(chaser.theta)
     # straight, the buffer is part of the chaser: of length 0 at the tip
@@ -73,10 +82,10 @@ def tip_at_release(scene: Scene) -> tuple[float, float, float, float]:
 
 @depends_on(*TIP_AT_RELEASE, "cone")
 def travel_to_touch(scene: Scene) -> float:
-    """Return the chaser's travel to the first touch of a resting target, m.
+    """Return how far the chaser moves from the release to the first touch, m.
 
-    The chaser moves straight along its heading with the buffer at rest; ``inf`` if the
-    tip misses the cone.
+    The result is ``inf`` if the tip touches no wall.  The chaser is assumed to move straight along
+    its heading, with the buffer at rest, to a target at rest.
     """
     px, py, ux, uy = tip_at_release(scene)
     cone = scene.cone
@@ -103,9 +112,10 @@ def rolling_force(scene: Scene) -> float:
 
 
 def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
-    """Return the chaser's speed (m/s) at a travel (m) from the release, before the first touch.
+    """Return the speed (m/s) that the chaser should have after a travel (m) from the release.
 
-    By energy, so it needs no clock.
+    It is that before the first touch.  It is computed from the energy, not from the time since the
+    release, which a real bench does not know exactly.
     """
     landing, height = plan.landing_speed, plan.drop_height
     if height > 0.0 and travel < height:
@@ -115,9 +125,10 @@ def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
 
 
 def expected_time(plan: LaunchPlan, travel: float) -> float:
-    """Return when (s after the release) the chaser has this travel (m), if it then coasts freely.
+    """Return the time (s after the release) at which the chaser has moved by ``travel`` (m).
 
-    ``inf`` if it never moves.
+    After the hanging mass has landed, the chaser is assumed to keep its speed: rolling resistance
+    is neglected there.  The result is ``inf`` if the chaser never moves.
     """
     landing, height = plan.landing_speed, plan.drop_height
     if landing == 0.0:
@@ -128,7 +139,7 @@ def expected_time(plan: LaunchPlan, travel: float) -> float:
 
 
 def _unlaunched(scene: Scene) -> LaunchPlan:
-    """Return the plan of a scene without string: the chaser has its speed already."""
+    """Return the plan of a scene without string, whose chaser has its speed at the release."""
     i = scene.initial.chaser
     speed = math.hypot(i.vx, i.vy)
     travel = travel_to_touch(scene)
@@ -142,15 +153,19 @@ def _unlaunched(scene: Scene) -> LaunchPlan:
 
 
 def plan_launch(scene: Scene) -> LaunchPlan:
-    """Choose hanging mass or drop height for the wanted impact speed, in closed form.
+    """Compute the plan of a scene's launch, in closed form.
 
-    Of ``string.impact_speed``, ``string.hanging_mass`` and ``string.drop_height`` two are
-    given; the third follows.
+    The scene gives two of ``string.impact_speed``, ``string.hanging_mass`` and
+    ``string.drop_height``; the third is computed from them.  A scene without string has only an
+    expected touch.  :func:`capture_sim.scene.loading.check_scene` checks what this function
+    assumes: two values are given, and a scene with a string has a rail.
 
     Raises
     ------
     SceneError
-        No mass or height gives the wanted speed; the message names the limit that is reached.
+        In a scene with a string, the chaser's path misses the cone, the mass cannot overcome the
+        rolling resistance or would not land on the rail, or no mass gives the wanted speed from
+        this height; the message names the limit.
     """
     if scene.string is None:
         return _unlaunched(scene)

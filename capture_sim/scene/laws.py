@@ -1,11 +1,12 @@
 r"""Laws of contact and of friction by their names in a scene.
 
-A law of contact is the hysteresis factor a(e) of a restitution e: with an elastic force f, the
-normal force is
+A law of contact gives the hysteresis factor a(e) for a coefficient of restitution e.  With the
+penetration delta, its rate delta', the elastic force f and the approach speed v_0, the speed at
+the start of the touch, the normal force is
 
     F = f(delta) (1 + a delta' / v_0)
 
-Between two free bodies this force returns the restitution ``e_out`` with
+Two free bodies then separate with the restitution ``e_out`` that satisfies
 
     a (1 + e_out) = ln[(1 + a) / (1 - a e_out)]
 
@@ -22,7 +23,10 @@ from enum import IntEnum
 
 
 class FrictionLaw(IntEnum):
-    """Laws of friction; in a scene their names are in lower case."""
+    """Laws of friction; a scene writes their names in lower case, e.g. ``tanh``.
+
+    The compiled equations of motion identify a law by its number.
+    """
 
     TANH = 1
     CLAMP = 4
@@ -37,7 +41,7 @@ FRICTION_LAWS = tuple(law.name.lower() for law in FrictionLaw)
 def returned_restitution(a: float) -> float:
     """Return the restitution that results from the hysteresis factor ``a`` (>= 0).
 
-    Solves a (1 + e) = ln[(1 + a) / (1 - a e)] for e; 1 for a = 0.
+    It is the solution e of a (1 + e) = ln[(1 + a) / (1 - a e)], and 1 for a = 0.
     """
     # imported here: the import takes half a second, and only the exact law needs it
     from scipy.optimize import brentq
@@ -55,7 +59,10 @@ def returned_restitution(a: float) -> float:
 
 
 def exact_factor(e: float) -> float:
-    """Return the hysteresis factor for an exact restitution ``e``; ValueError if e <= 0."""
+    """Return the hysteresis factor with which a touch has exactly the restitution ``e``.
+
+    It is the inverse of :func:`returned_restitution`, and 0 for e >= 1.  ValueError if e <= 0.
+    """
     from scipy.optimize import brentq
 
     if e <= 0.0:

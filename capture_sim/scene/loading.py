@@ -115,13 +115,13 @@ def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
 
 
 class _Packaged(NamedTuple):
-    """A packaged scene and the files that it was read from."""
+    """A scene that comes with the package, and the files that it was read from."""
 
     scene: Scene
     files: list[tuple[Path, tuple[int, ...]]]  # with the state of each
 
     def is_current(self) -> bool:
-        """Return True unless a file has changed."""
+        """Return True if each file is as it was when the scene was read."""
         return all(_state_of(path) == state for path, state in self.files)
 
 
@@ -148,10 +148,11 @@ def _keep(name: str, files: Sequence[Path], data: dict[str, object]) -> None:
 
 
 def load_requested(text: str, overrides: Overrides = (), folder: Path | None = None) -> Scene:
-    """Load a scene that is requested over the network, see :func:`load_scene`.
+    """Load a scene that is requested over the network, with overrides as :func:`load_scene`.
 
-    ``text`` is the name of a file in ``folder`` or of a packaged scene, or YAML text.  SceneError
-    for a path: a request must not read files of this machine.
+    ``text`` is YAML text if it contains a line break; otherwise it is the name of a file in
+    ``folder``, if given, or of a packaged scene.  SceneError if it is a path, because a request
+    must not read any other file of this machine, or if the scene is not found or is invalid.
     """
     if "\n" in text:
         return load_scene_text(text, overrides)
@@ -162,9 +163,11 @@ def load_requested(text: str, overrides: Overrides = (), folder: Path | None = N
 
 
 def load_scene_text(text: str, overrides: Overrides = (), *, only_known: bool = False) -> Scene:
-    """Return the scene of resolved YAML text (no ``extends``), as recordings contain it.
+    """Return the checked scene of complete YAML text, as recordings contain it.
 
-    ``only_known`` leaves out the fields that this version does not know.  See :func:`load_scene`.
+    The text must not contain ``extends``, and gives the scene's name and title.  ``only_known``
+    ignores fields that this version does not know, which are otherwise mistakes.  ``overrides``
+    and errors are those of :func:`load_scene`.
     """
     data = parse_scene(text, "scene")
     items = override_items(overrides)
@@ -172,7 +175,10 @@ def load_scene_text(text: str, overrides: Overrides = (), *, only_known: bool = 
 
 
 def change_scene(scene: Scene, overrides: Overrides) -> Scene:
-    """Return a scene with changed values; see :func:`load_scene`."""
+    """Return a checked scene with changed values, which its title then lists.
+
+    ``overrides`` and errors are those of :func:`load_scene`.
+    """
     items = override_items(overrides)
     if all(_is_value(scene, name) for name, _ in items):
         with suppress(SceneError):  # refused again below, with all wrong values by their names
@@ -181,7 +187,7 @@ def change_scene(scene: Scene, overrides: Overrides) -> Scene:
 
 
 def _is_value(scene: Scene, name: str) -> bool:
-    """Return True for the path of a value, not of a part, in a part that the scene has."""
+    """Return True if ``name`` is the dotted name of a value, not of a part, that the scene has."""
     *owners, last = name.split(".")
     part: Any = scene
     for owner in owners:
@@ -193,7 +199,10 @@ def _is_value(scene: Scene, name: str) -> bool:
 
 
 def _changed(data: dict[str, object], items: Sequence[tuple[str, Any]]) -> Scene:
-    """Return a checked scene with changed values, which its title lists."""
+    """Build a scene from nested values with overrides, which its title lists, and check it.
+
+    The fields of ``approach`` start the scene just before its first touch.
+    """
     data = overridden(data, items)
     approach = data.pop("approach", None)
     scene: Scene = build(data)
@@ -205,7 +214,7 @@ def _changed(data: dict[str, object], items: Sequence[tuple[str, Any]]) -> Scene
 
 
 def _finished(scene: Scene, items: Sequence[tuple[str, Any]]) -> Scene:
-    """Return a changed scene after its check, with the changes in its title."""
+    """Return a changed scene with the changes added to its title; SceneError if it is invalid."""
     texts = [text for text in override_texts(items) if not text.startswith("title=")]
     if texts:
         scene = replaced(scene, {"title": f"{scene.title}{_CHANGED}{', '.join(texts)}"})
@@ -214,13 +223,20 @@ def _finished(scene: Scene, items: Sequence[tuple[str, Any]]) -> Scene:
 
 
 def overrides_of(scene: Scene) -> list[str]:
-    """Return the changes that were made to a scene, ``name=value`` each, as its title has them."""
+    """Return the changes that a scene's title lists, each as ``name=value``.
+
+    Long lists are abbreviated there with ``...``; a changed title is not listed.
+    """
     _, _, changes = scene.title.partition(_CHANGED)
     return _NEXT_CHANGE.split(changes.replace(_CHANGED, ", ")) if changes else []
 
 
 def overridden_name(scene: Scene) -> str:
-    """Return a name of a changed scene that names its changes, e.g. ``tilt_0_c_A_20``."""
+    """Return a name for a changed scene that contains its changes, e.g. ``tilt_0_c_A_20``.
+
+    A name of more than 60 characters has a hash of the changes instead.  A scene without changes,
+    or whose name was changed, keeps its name.
+    """
     changes = overrides_of(scene)
     if any(change.startswith("name=") for change in changes):
         return scene.name
@@ -234,10 +250,10 @@ def overridden_name(scene: Scene) -> str:
 
 
 def check_scene(scene: Scene) -> LaunchPlan:
-    """Check the rules that tie the parts of a scene together, and return its launch plan.
+    """Check the rules between several fields or parts of a scene, and return its launch plan.
 
-    SceneError names the first rule that the scene breaks.  A scene that was just checked, as by
-    :func:`change_scene` before its run, is not checked again.
+    SceneError names the first rule that the scene breaks.  The scene object that passed the last
+    check, e.g. in :func:`change_scene` before its run, is not checked again.
     """
     global _checked
     last = _checked
@@ -347,9 +363,11 @@ def _force_table(scene: Scene) -> None:
 def _check_table(
     name: str, place: str, table: tuple[tuple[float, float], ...], spacing: float
 ) -> None:
-    """Check the rules of each measured force: its places rise from 0, and it never pulls.
+    """Check a table of measured forces; SceneError if it breaks a rule.
 
-    A point that is listed twice is a kink; each side of it has another point.
+    The strokes or depths (``place`` is ``"stroke"`` or ``"depth"``) rise from 0 by at least
+    ``spacing`` (m), and no force is negative.  A point may be listed twice, as a kink of the
+    curve, if there are other points on both sides of it.
     """
     places, forces = zip(*table, strict=True)
     if places[0] != 0.0:

@@ -1,11 +1,12 @@
 """Parts of a scene: frozen dataclasses in SI units, checked when they are created.
 
-A part that is ``None`` is not on the bench and needs no computing time.  Symbols are those of
-the paper (A New Buffer in Impact Reduction for Aerospace Applications, Table 1 and 2).
+A part that is ``None`` is not on the bench and needs no computing time.  Symbols, and the numbers
+of equations and tables, are those of the paper (A New Buffer in Impact Reduction for Aerospace
+Applications, Table 1 and 2).
 
 Every number is declared as a :func:`~capture_sim.scene.quantities.quantity`, which holds its unit
-and allowed range.  :func:`capture_sim.scene.loading.check_scene` checks the rules that tie several
-parts together.
+and allowed range, every measured curve as :func:`~capture_sim.scene.quantities.points`.
+:func:`capture_sim.scene.loading.check_scene` checks the rules that tie several parts together.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ class Cylinder(Checked):
 
     @property
     def inertia(self) -> float:
-        """Inertia about the cylinder's centre, kg m^2."""
+        """Moment of inertia about the cylinder's centre, kg m^2."""
         return self.mass * self.length**2 / 12.0
 
 
@@ -91,12 +92,12 @@ class Probe(Checked):
 
     @cached_property
     def com_offset(self) -> float:
-        """Centre of mass behind the tip's centre, m."""
+        """Distance from the tip's centre back to the probe's centre of mass, m."""
         return self.rod_mass * (self.tip_radius + self.length / 2.0) / self.mass
 
     @cached_property
     def inertia(self) -> float:
-        """Inertia about the probe's own centre of mass, kg m^2."""
+        """Moment of inertia about the probe's own centre of mass, kg m^2."""
         d = self.com_offset
         rod = self.rod_mass * (self.length**2 / 12.0 + self.radius**2 / 4.0)
         rod += self.rod_mass * (self.tip_radius + self.length / 2.0 - d) ** 2
@@ -168,12 +169,18 @@ class Buffer(Checked):
 
     @property
     def seat_force(self) -> float:
-        """Force with which the axial spring presses the probe against its seat, N; 0: no seat."""
+        """Force of the axial spring on the probe's seat at the rest length, N; 0: no seat.
+
+        The seat is a rigid stop that keeps the probe from moving outwards beyond its rest length.
+        """
         return self.preload if self.force_table is None else self.force_table[0][1]
 
     @property
     def stiffness_at_rest(self) -> float:
-        """Stiffness of the axial spring at the rest length, N/m; the first slope of a table."""
+        """Stiffness of the axial spring at the rest length, N/m.
+
+        It is ``k_A``, or the slope between the first two points of ``force_table``.
+        """
         if self.force_table is None:
             return self.k_A
         (stroke_0, force_0), (stroke_1, force_1) = self.force_table[:2]
@@ -199,7 +206,7 @@ class Cone(Checked):
 
     @property
     def wall(self) -> tuple[float, float, float, float]:
-        """Parameters of :mod:`capture_sim.scene.geometry`: R_c, L_c (m), cos beta, sin beta."""
+        """R_c, L_c (m), cos beta and sin beta: a wall in :mod:`capture_sim.scene.geometry`."""
         return self.R_c, self.L_c, math.cos(self.half_angle), math.sin(self.half_angle)
 
 
@@ -212,7 +219,7 @@ class Material(Checked):
 
     @property
     def sigma(self) -> float:
-        """(1 - nu^2) / E, m^2/N."""
+        """Compliance of the material in contact, (1 - nu^2) / E, m^2/N."""
         return (1.0 - self.nu**2) / self.E
 
 
@@ -482,9 +489,11 @@ class RunSettings(Checked):
     )
 
     def refined(self, rtol_divisor: float, step_divisor: float) -> RunSettings:
-        """Return settings whose errors are others: a smaller tolerance, or shorter fixed steps.
+        """Return settings with smaller integration errors, to estimate the error of a run.
 
-        Where neither may be half as large, with another integrator.
+        The fixed step of ``rk4`` is divided by ``step_divisor``, the tolerance of another method by
+        ``rtol_divisor``; neither falls below its lower limit.  If the limit is less than a factor
+        of 2 away, the settings get another integrator instead.
         """
         if self.method == "rk4" and self.step >= 2.0 * MIN_STEP:
             return replace(self, step=max(self.step / step_divisor, MIN_STEP))
@@ -619,26 +628,34 @@ class Scene(Checked):
 
     @property
     def rest_length(self) -> float:
-        """Distance from the hinge to the tip's centre with the axial spring relaxed, m."""
+        """Distance from the hinge to the tip's centre with the buffer at rest, m.
+
+        A preloaded axial spring is not relaxed there: it presses the probe on its seat.
+        """
         if self.buffer.rest_length is not None:
             return self.buffer.rest_length
         return self.probe.length + self.probe.tip_radius
 
     @property
     def outward_stroke(self) -> float | None:
-        """Stroke outwards at which the probe meets its seat or a stop, m; None without both."""
+        """Outward stroke at which the probe meets its seat or a stop, m; None if it has neither."""
         if self.buffer.seat_force > 0.0:
             return 0.0
         return None if self.stops is None else self.stops.extension
 
     @cached_property
     def chaser_total_mass(self) -> float:
-        """Mass of the chaser with cylinder and probe, kg."""
+        """Mass of the complete chaser, with cylinder and probe, kg."""
         return self.chaser.mass + self.cylinder.mass + self.probe.mass
 
     @cached_property
     def contact_stiffness(self) -> float:
-        """Stiffness K of the contact, N/m^p; if the scene has none, that of eq. (2), N/m^1.5."""
+        """Stiffness K of the elastic contact force K delta^p, N/m^p.
+
+        It is ``contact.stiffness``; if that is null, K is computed from both materials by eq. (2)
+        of the paper, with p = 1.5.  A scene with ``contact.force_table`` does not use K in its
+        walls.
+        """
         if self.contact.stiffness is not None:
             return self.contact.stiffness
         return (
@@ -648,14 +665,17 @@ class Scene(Checked):
         )
 
     def initial_coordinates(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return q (8,) and v (8,) at the release, m, rad and per second."""
+        """Return the coordinates q (8,) and their rates v (8,) at the release, in SI units.
+
+        The order is x_S, y_S, theta_S (chaser), theta_P, h (probe), x_T, y_T, theta_T (target).
+        """
         c, t = self.initial.chaser, self.initial.target
         q = np.array([c.x, c.y, c.theta, c.theta, self.rest_length, t.x, t.y, t.theta])
         v = np.array([c.vx, c.vy, c.omega, c.omega, 0.0, t.vx, t.vy, t.omega])
         return q, v
 
     def to_yaml(self) -> str:
-        """Return the complete scene as YAML text, from which it can be loaded exactly."""
+        """Return the complete scene as YAML text; loading this text gives an equal scene."""
         return yaml_text(self)
 
 
@@ -664,13 +684,17 @@ _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 
 
 def as_name(text: str) -> str:
-    """Return a text as a valid scene name: other characters become ``_``."""
+    """Return a text as a valid scene name of at most 64 characters.
+
+    Characters other than letters (a to z), digits and ``_ . -`` become ``_``.  A text that is empty
+    or begins with ``.`` or ``-`` gets ``run_`` before it.
+    """
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", text)[:64]
     return name if _NAME.fullmatch(name) else f"run_{name}"[:64]
 
 
 def as_mapping(part: Any) -> Any:
-    """Return a scene (or part) as plain nested dictionaries and lists."""
+    """Return a scene or a part as nested dictionaries by field name, with lists for tuples."""
     if is_dataclass(part) and not isinstance(part, type):
         return {f.name: as_mapping(getattr(part, f.name)) for f in fields(part)}
     if isinstance(part, tuple):

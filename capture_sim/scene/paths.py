@@ -1,4 +1,8 @@
-"""Parameters of a scene by name: their paths, values, ranges and changes."""
+"""Parameters of a scene by name: their paths, values, ranges and changes.
+
+A path is the dotted name of a field, e.g. ``buffer.c_A``.  A parameter is named by a path or by a
+short name such as ``c_rr``, which may stand for several paths.
+"""
 
 from __future__ import annotations
 
@@ -28,14 +32,19 @@ _MAX_ALIKE = 5
 
 
 def value_of(scene: Scene, name: str) -> float:
-    """Return the value of a parameter in a scene; SceneError if it is not a number there."""
+    """Return the value of a parameter in a scene, at the first of its paths.
+
+    SceneError as from :func:`paths_of`.
+    """
     return float(get(scene, paths_of(scene, name)[0]))
 
 
 def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
-    """Return the paths of a parameter in a scene.
+    """Return the paths of a parameter, given by a short name or a path.
 
-    SceneError if it is not a number there, or not a property of the bench.
+    SceneError if its value in the scene is not a number, or if it is no property of the bench that
+    can be fitted: a setting of the run, the detector or the sensors, or a value of the launch
+    (impact speed, hanging mass, drop height).
     """
     paths = ALIASES.get(name) or (name,)
     for path in paths:
@@ -51,7 +60,7 @@ def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
 
 
 def get(scene: Scene, path: str) -> Any:
-    """Return the value at a path of a scene; None if there is none."""
+    """Return the value or the part at a path of a scene; None if it is null or does not exist."""
     value: Any = scene
     for name in path.split("."):
         # computed properties such as probe.rod_mass cannot be changed
@@ -61,7 +70,10 @@ def get(scene: Scene, path: str) -> Any:
 
 
 def field_names(part: Any, prefix: str = "") -> list[str]:
-    """Return the dotted names of all values of a scene, or of a part with a prefix."""
+    """Return the dotted names of all values of a scene or a part, each with ``prefix`` before it.
+
+    A part that the scene does not have is one name.
+    """
     names = []
     for name in declared(type(part)):
         value = getattr(part, name)
@@ -71,10 +83,11 @@ def field_names(part: Any, prefix: str = "") -> list[str]:
 
 
 def alike(names: Sequence[str], name: str, cutoff: float = 0.5) -> list[str]:
-    """Return the fields that an unknown name may mean, at most five; none below the cutoff.
+    """Return up to five of ``names`` (dotted names of fields) that an unknown name may mean.
 
-    They are the fields of a part with that name, or the fields whose own name is most similar, of
-    the same part if it exists.
+    They are the fields of a part with that name.  Without such a part, they are the fields whose
+    last name is most similar to that of ``name``, if their similarity (0 to 1) is at least
+    ``cutoff``; if ``name`` begins with an existing part, only fields of this part are compared.
     """
     owner, _, field = name.rpartition(".")
     inside = [path for path in names if path.startswith(f"{name}.")]
@@ -87,7 +100,10 @@ def alike(names: Sequence[str], name: str, cutoff: float = 0.5) -> list[str]:
 
 
 def did_you_mean(names: Sequence[str]) -> str:
-    """Return the hint that lists similar names; without any, where to find the names."""
+    """Return a hint for an error message that lists similar names.
+
+    Without names, it is the command that lists all fields.
+    """
     if not names:
         return "capture-sim show lists the fields of a scene"
     *others, final = names
@@ -95,12 +111,16 @@ def did_you_mean(names: Sequence[str]) -> str:
 
 
 def changed(part: Any, path: str, value: Any) -> Any:
-    """Return a scene, or a part of one, with another value at a path."""
+    """Return a scene, or a part of one, with another value at a path; see :func:`with_values`."""
     return with_values(part, {path: value})
 
 
 def with_values(part: Any, values: Mapping[str, Any]) -> Any:
-    """Return a scene, or a part of one, with other values by path; each part is checked once."""
+    """Return a scene, or a part of one, with other values by path.
+
+    SceneError if a value is invalid.  The parts on each path must exist, and rules between several
+    fields or parts are not checked.
+    """
     fields: dict[str, Any] = {}
     part_values: dict[str, dict[str, Any]] = {}
     for path, value in values.items():
@@ -115,12 +135,18 @@ def with_values(part: Any, values: Mapping[str, Any]) -> Any:
 
 
 def range_of(scene: Scene, path: str) -> tuple[float, float]:
-    """Return the lower and the upper limit of the value at a path."""
+    """Return the lower and upper limit of the field at a path, in SI units.
+
+    A limit is infinite if the field has none.  The field's part must exist in the scene.
+    """
     owner, _, name = path.rpartition(".")
     allowed = declared(type(get(scene, owner) if owner else scene))[name].allowed or ANY
     return allowed.low, allowed.high
 
 
 def usual_size(name: str) -> float:
-    """Return the scale of a parameter whose value is zero."""
+    """Return a usual size, in SI units, of a parameter of this name.
+
+    A fit scales a parameter by its value, and by this size if the value is zero.
+    """
     return {"c_rr": 1e-3, "e": 0.5, "mu": 0.3, "c_A": 10.0}.get(name, 1.0)

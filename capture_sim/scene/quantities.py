@@ -21,7 +21,7 @@ from capture_sim.scene.units import comma_hint, in_si, split
 
 @dataclass(frozen=True)
 class Range:
-    """Allowed values of a number: an interval with closed or open ends."""
+    """Allowed values of a number: a range with closed or open ends, never NaN or infinity."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -53,12 +53,15 @@ REAL_TIME_FACTORS = Range(0.0, 1000.0)
 
 
 def quantity(unit: str, allowed: Range = ANY, *, default: Any = MISSING, doc: str = "") -> Any:
-    """Declare a number with its unit, allowed range and meaning."""
+    """Declare a dataclass field that is a number, with its unit, allowed range and meaning.
+
+    ``unit`` is ``"1"`` for a dimensionless number.  Without default, a value must be given.
+    """
     return field(default=default, metadata={"unit": unit, "allowed": allowed, "doc": doc})
 
 
 class PointList(NamedTuple):
-    """Declaration of a list of points: names and units of both coordinates, and their number."""
+    """Declaration of a list of points: names and units of both coordinates, and how many points."""
 
     names: tuple[str, str]
     units: tuple[str, str]
@@ -79,19 +82,23 @@ def points(
     default: Any = MISSING,
     doc: str = "",
 ) -> Any:
-    """Declare a list of points with names and units of their coordinates, and their number."""
+    """Declare a dataclass field that is a list of points.
+
+    ``names`` and ``units`` are those of both coordinates; ``count`` is the smallest and the largest
+    number of points.
+    """
     unit = units[0] if units[0] == units[1] else ", ".join(units)
     declaration = PointList(names, units, *count)
     return field(default=default, metadata={"unit": unit, "points": declaration, "doc": doc})
 
 
 def choice(options: tuple[str, ...], *, default: str, doc: str = "") -> Any:
-    """Declare a name from a fixed list."""
+    """Declare a dataclass field whose value is one of the texts ``options``."""
     return field(default=default, metadata={"options": options, "doc": doc})
 
 
 class Declared(NamedTuple):
-    """Declaration of a field of a part."""
+    """Declaration of a field of a part: its type, unit, allowed values and meaning."""
 
     name: str
     kind: Any  # float, int, str, bool, a part, or tuple for points
@@ -108,7 +115,7 @@ _declared: dict[type, dict[str, Declared]] = {}
 
 
 def declared(part: type) -> dict[str, Declared]:
-    """Return the declarations of a part's fields, by name."""
+    """Return the declarations of the fields of a part's class, by name."""
     if part not in _declared:
         hints = typing.get_type_hints(part)
         _declared[part] = {f.name: _declaration(f, hints[f.name]) for f in dataclasses.fields(part)}
@@ -134,7 +141,7 @@ _shortened.maxlevel = 3
 
 
 def shown(value: object) -> str:
-    """Return a value as one short line for a message."""
+    """Return a value as one short line for a message; a long value is abbreviated."""
     if isinstance(value, float):
         return repr(float(value))  # also of NumPy's
     if isinstance(value, int) and value.bit_length() > 256:
@@ -143,7 +150,10 @@ def shown(value: object) -> str:
 
 
 def refuse(where: str, value: object, unit: str, allowed: object) -> SceneError:
-    """Return the one-line error for a value that is not allowed."""
+    """Return, but do not raise, the one-line error for a value that is not allowed.
+
+    ``where`` is the name of the field, and ``allowed`` follows the words "must be".
+    """
     if isinstance(value, float) and not math.isfinite(value) and str(allowed) != str(ANY):
         allowed = f"finite and {allowed}"
     with_unit = f"{shown(value)} {unit}" if unit not in ("", "1") else shown(value)
@@ -156,8 +166,9 @@ _KIND_TEXTS = {float: "a number", int: "a whole number", str: "a text", bool: "t
 def accept(value: Any, spec: Declared, where: str) -> Any:
     """Check a value of any type and return it in the type of its field.
 
-    ``where`` is the name of the field in the message, e.g. ``buffer.c_A``.  SceneError, with field,
-    value, unit and range, if the value is invalid.
+    A text with a unit, e.g. ``5 mm``, is converted to the field's unit.  None is returned as it is
+    if the field is optional.  ``where`` is the name of the field in the message, e.g.
+    ``buffer.c_A``.  SceneError, with field, value, unit and range, if the value is invalid.
     """
     if value is None and spec.optional:
         return None
@@ -231,7 +242,11 @@ def _coordinate(value: Any, unit: str) -> float:
 
 @dataclass(frozen=True)
 class Checked:
-    """A part whose fields accept only declared values; its docstring lists them."""
+    """Base class of parts: it checks each field when a part is created.
+
+    SceneError if a value is not as declared.  A list of the fields is added to the docstring of
+    each subclass.
+    """
 
     def __init_subclass__(cls) -> None:
         if "Attributes\n" in (cls.__doc__ or ""):
@@ -251,9 +266,12 @@ class Checked:
 
 
 def replaced(part: Any, fields: Mapping[str, Any]) -> Any:
-    """Return a part with other values in some fields; only these are checked.
+    """Return a copy of a part with other values in some fields.
 
-    ``dataclasses.replace`` checks all fields again, which takes ten times as long.
+    Only these values are checked, because ``dataclasses.replace``, which checks all fields again,
+    takes ten times as long.  It is used only for a part with a check of its own (a scene, for its
+    name) if a new value is a text.  SceneError if a value is invalid, TypeError if a field is
+    unknown.
     """
     kind = type(part)
     declarations = declared(kind)
@@ -275,9 +293,9 @@ def replaced(part: Any, fields: Mapping[str, Any]) -> Any:
 
 
 def _described(part: type) -> Iterator[tuple[str, str, str, list[str]]]:
-    """Yield each field of a part: its name, its type with unit, its meaning, and its own fields.
+    """Yield the name, the type with unit, the meaning and the inner fields of each field of a part.
 
-    The last item has one line for each field of a field that is itself a part; else it is empty.
+    The inner fields are one line each if the field is itself a part; otherwise the list is empty.
     """
     # a class under construction has its declarations in __dict__; a dataclass has moved them
     declarations = part.__dict__.get("__dataclass_fields__", part.__dict__)
@@ -295,7 +313,7 @@ def _described(part: type) -> Iterator[tuple[str, str, str, list[str]]]:
 
 
 def _field_lines(part: type) -> Iterator[str]:
-    """Yield a line for each field of a part, and for the fields of parts in it."""
+    """Yield a line for each value in a part; a value in an inner part has its dotted name."""
     for name, kind, meaning, inner in _described(part):
         if inner:
             yield from (f"{name}.{line}" for line in inner)

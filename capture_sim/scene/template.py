@@ -16,7 +16,7 @@ _COMMENT_COLUMN = 48
 
 
 def template(scene: Scene) -> str:
-    """Return a scene as YAML with a comment on each field.
+    """Return a scene as YAML text with unit, range and meaning of each field in a comment.
 
     Parts that the scene does not have are null, followed by their fields as comments.
     """
@@ -42,7 +42,10 @@ def _lines(part: Any, indent: str) -> Iterator[str]:
 
 
 def _absent(part: type, indent: str) -> Iterator[str]:
-    """Yield the fields of a part that the scene does not have, with their default values."""
+    """Yield a line for each field of a part that is absent from the scene, with its default value.
+
+    A field without default has the value ``VALUE``.
+    """
     for name, spec in declared(part).items():
         if _is_part(spec):
             yield _commented(f"{indent}{name}:", _summary(spec.kind))
@@ -63,7 +66,7 @@ def _text(value: Any) -> str:
 
 
 def _meaning(spec: Declared) -> str:
-    """Return unit, allowed values and meaning of a field."""
+    """Return the comment on a field: its unit, allowed values and meaning."""
     allowed = f"one of {', '.join(spec.options)}" if spec.options else ""
     if spec.allowed not in (None, ANY):
         allowed = str(spec.allowed)

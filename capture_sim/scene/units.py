@@ -20,7 +20,10 @@ _MAX_LENGTH = 100
 
 
 def split(text: str) -> tuple[str, str]:
-    """Return the number in a text and its unit, which may be empty; ValueError if it has none."""
+    """Return the number and the unit in a text, both as texts; the unit may be empty.
+
+    ValueError if the text does not begin with a number, or is longer than 100 characters.
+    """
     match = _NUMBER.fullmatch(text) if len(text) <= _MAX_LENGTH else None
     if match is None:
         raise ValueError(f"{text!r} is not a number with a unit")
@@ -28,10 +31,11 @@ def split(text: str) -> tuple[str, str]:
 
 
 def in_si(text: str, unit: str) -> float:
-    """Return the number in a text, converted to ``unit``, an SI unit (``1`` or empty: none).
+    """Return the number in a text, converted to ``unit``, an SI unit.
 
-    A text without a unit is in ``unit`` already.  ValueError if the text is not a number, or its
-    unit is unknown or of another dimension.
+    A ``unit`` of ``1`` or an empty one is dimensionless.  A number without a unit is taken to be in
+    ``unit`` already.  A number that is too large gives infinity.  ValueError if the text does not
+    begin with a number, or its unit is unknown or of another dimension.
     """
     number, text_unit = split(text)
     if not text_unit:
@@ -49,14 +53,17 @@ def in_si(text: str, unit: str) -> float:
 
 
 def comma_hint(text: str) -> str:
-    """Return a hint for a text that is a number with a decimal comma, otherwise nothing."""
+    """Return a hint for an error message if a text is a number with a decimal comma, else ""."""
     is_number = _NUMBER.fullmatch(text[:_MAX_LENGTH].replace(",", ".", 1))
     return "; decimals need a point, not a comma" if "," in text and is_number else ""
 
 
 @functools.cache
 def _root(unit: str) -> tuple[Fraction, Any]:
-    """Return a unit as a factor and base units; the radian is a base unit."""
+    """Return a unit as an exact factor and pint's base units; ValueError if it is unknown.
+
+    The radian is a base unit of its own, so that an angle differs from a dimensionless number.
+    """
     from pint.errors import PintError
 
     registry = _registry()

@@ -1,7 +1,8 @@
-"""Scenes as YAML text: the bytes of PyYAML's ``safe_dump``, without its emitter.
+"""Scenes as YAML text: the same bytes as PyYAML's ``safe_dump`` writes, but faster.
 
-The emitter takes twice as long as a complete run, and every result contains the hash of its scene's
-text.  Recordings of all versions contain such hashes, so the bytes must not change.
+Every result contains the hash of its scene's text, and PyYAML's emitter takes twice as long as a
+complete run.  Only a field whose text needs quotes or escapes is written by PyYAML.  Recordings of
+all versions contain such hashes, so the bytes must not change.
 """
 
 from __future__ import annotations
@@ -21,12 +22,13 @@ _OTHER = re.compile(r"(?i:null|yes|no|true|false|on|off)")
 
 
 class _NotPlainError(Exception):
-    """A text that only PyYAML can write."""
+    """A value that this module leaves to PyYAML: a text that needs quotes, or NaN or infinity."""
 
 
 def yaml_text(part: Any) -> str:
-    """Return a scene as YAML text: parts in blocks, their numbers in braces.
+    """Return a scene as YAML text.
 
+    A part that contains parts or tuples is a block, other parts are one mapping in braces.
     ``part`` is a dataclass of numbers, texts, tuples and further parts.
     """
     lines: list[str] = []
@@ -57,7 +59,11 @@ def _items(part: Any) -> list[tuple[str, Any]]:
 
 
 def _entry(head: str, value: Any, indent: int) -> list[str]:
-    """Return the lines of a value behind its ``head``, a name or a dash."""
+    """Return the lines of a value after its ``head``: its indented name with a colon, or a dash.
+
+    ``indent`` is the column of the name, or of the text after the dash.  The lines of a part are
+    kept in the part.
+    """
     if type(value) is float or value is None:
         return [f"{head} {_scalar(value)}"]
     if isinstance(value, tuple):
@@ -77,7 +83,7 @@ _LINES_NAME = "_yaml_lines"
 
 
 def _group(head: str, value: Any, indent: int) -> list[str]:
-    """Return the lines of a part or a tuple."""
+    """Return the lines of a part or a tuple, the first of which begins with ``head``."""
     is_part = not isinstance(value, tuple)
     items = _items(value) if is_part else [("", item) for item in value]
     if not any(isinstance(item, tuple) or dataclasses.is_dataclass(item) for _, item in items):
@@ -92,7 +98,7 @@ def _group(head: str, value: Any, indent: int) -> list[str]:
 
 
 def _in_brackets(head: str, items: list[tuple[str, Any]], ends: str, indent: int) -> list[str]:
-    """Return the lines of scalars in braces or brackets."""
+    """Return the lines of a mapping or a list of scalars in ``ends``, ``"{}"`` or ``"[]"``."""
     first, last = tuple(ends)
     lines, line, sign = [], f"{head} {first}", ""
     for name, value in items:
@@ -111,7 +117,7 @@ def _in_brackets(head: str, items: list[tuple[str, Any]], ends: str, indent: int
 
 
 def _folded(head: str, text: str, indent: int) -> list[str]:
-    """Return the lines of a text, broken at blanks."""
+    """Return the lines of a text after its ``head``, broken at blanks as PyYAML breaks them."""
     lines, line = [], head
     for number, word in enumerate(text.split(" ")):
         if number and len(line) > _WIDTH:

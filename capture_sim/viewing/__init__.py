@@ -1,4 +1,4 @@
-"""What is looked at: plots, a report, rerun recordings and live views.
+"""Views of runs and studies: plots, an HTML report, rerun recordings and live views.
 
 Takes: A ``Run`` or several, results of studies.
 Gives: Figures, HTML, rerun recordings.

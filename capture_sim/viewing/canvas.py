@@ -1,4 +1,4 @@
-"""Sheets for matplotlib to draw on, and how they are saved: no screen needed."""
+"""Figures and axes of matplotlib, and their saving to files; no screen is needed."""
 
 from __future__ import annotations
 
@@ -28,9 +28,11 @@ _SAVING: Any = {"svg.hashsalt": "capture_sim", "svg.fonttype": "path"}
 
 
 def new_figure(width: float, height: float, *, arranged: bool = True) -> Figure:
-    """Return an empty figure, inches, that arranges its contents.
+    """Return an empty figure; width and height are in inches.
 
-    That measures every tick; :func:`rows_of_axes` of one that does not is three times as fast.
+    An arranged figure moves its axes and legends when it is drawn, so that they do not overlap.
+    For this, matplotlib measures every tick.  A figure that is not arranged is drawn three times
+    as fast; the caller then places its axes, e.g. with :func:`rows_of_axes`.
     """
     layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.07) if arranged else None
     figure = Figure(figsize=(width, height), layout=layout)
@@ -48,10 +50,11 @@ def subplots(
     font: float = style.FONT,
     **options: Any,
 ) -> tuple[Figure, np.ndarray]:
-    """Return a figure, inches, and its axes (rows, columns), in the common look.
+    """Return a figure and its axes, an array (rows, columns), in the style of all plots.
 
-    ``grid`` is the axis that has one: "x", "y", "both", None; ``font`` is the size of
-    labels, in points; ``options`` go on to matplotlib's ``Figure.subplots``.
+    Width and height are in inches.  ``grid`` is "x", "y" or "both" for grid lines at the ticks of
+    these axes, or None for no grid.  ``font`` is the font size of the axes' labels, in points.
+    ``options`` are passed to matplotlib's ``Figure.subplots``.
     """
     figure = new_figure(width, height)
     axes = figure.subplots(rows, columns, squeeze=False, **options)
@@ -61,12 +64,16 @@ def subplots(
 
 
 def columns_for(count: int) -> int:
-    """Return in how many columns panels of so many runs are laid, to be read on a page."""
+    """Return the number of columns in which ``count`` panels are arranged: at most three."""
     return 2 if count == 4 else min(count, 3)
 
 
 def hide_unused(axes_grid: np.ndarray, used: Container[Axes]) -> None:
-    """Take axes out of a grid, (rows, columns); number the lowest used one of each column."""
+    """Hide the axes of a grid that are not in ``used``.
+
+    ``axes_grid`` has the shape (rows, columns).  In each column, only the lowest used axes show
+    numbers at the ticks of x.  Each column must contain used axes.
+    """
     for column in axes_grid.T:
         shown = [axes for axes in column if axes in used]
         for axes in column:
@@ -78,10 +85,11 @@ def hide_unused(axes_grid: np.ndarray, used: Container[Axes]) -> None:
 def rows_of_axes(
     figure: Figure, sides: tuple[float, float], top: float, rows: Sequence[tuple[float, float]]
 ) -> list[Axes]:
-    """Return axes one below the other; all lengths are in inches.
+    """Add axes to a figure, one below the other, and return them; all lengths are in inches.
 
-    ``sides`` are their left and right ends, ``top`` is the distance of the first from the
-    figure's upper edge, ``rows`` are the height of each and the gap below it.
+    ``sides`` are the left and right ends of all axes, from the figure's left edge.  ``top`` is the
+    distance of the first axes from the figure's upper edge.  ``rows`` contains, for each axes, its
+    height and the gap below it.
     """
     width, height = figure.get_size_inches()
     left, right = sides
@@ -96,7 +104,11 @@ def rows_of_axes(
 
 
 def dress(axes: Axes, grid: Any = "both", font: float = style.FONT) -> None:
-    """Give axes a light grid behind everything, and labels and numbers their size, in points."""
+    """Give axes a light grid behind all curves, and set the font size of labels and tick numbers.
+
+    ``grid`` is "x", "y" or "both", or None for no grid.  ``font`` is the size of the labels, in
+    points; the tick numbers are 1.5 points smaller.
+    """
     if grid:
         axes.grid(axis=grid, color=style.LIGHT, lw=0.6)
         axes.set_axisbelow(True)
@@ -106,7 +118,7 @@ def dress(axes: Axes, grid: Any = "both", font: float = style.FONT) -> None:
 
 
 def draw_shapes(axes: Axes, shapes: Iterable[Shape], factor: float = 1.0) -> None:
-    """Draw shapes, their coordinates times ``factor``."""
+    """Draw shapes, with their coordinates multiplied by ``factor``, e.g. 1000 for axes in mm."""
     several = sorted(shapes, key=lambda shape: shape.order)
     for order, group in itertools.groupby(several, key=lambda shape: shape.order):
         same = list(group)
@@ -126,7 +138,10 @@ def draw_shapes(axes: Axes, shapes: Iterable[Shape], factor: float = 1.0) -> Non
 
 
 def small_png(figure: Figure, dpi: float) -> bytes:
-    """Return a figure as the bytes of a PNG file of 64 colours."""
+    """Return a figure as the bytes of a PNG file of 64 colours, which keeps the file small.
+
+    ``dpi`` is in pixels per inch; the figure keeps it afterwards.
+    """
     _skip_contents_in_layout(figure)
     figure.set_dpi(dpi)
     canvas = FigureCanvasAgg(figure)
@@ -138,16 +153,17 @@ def small_png(figure: Figure, dpi: float) -> bytes:
 
 
 def _skip_contents_in_layout(figure: Figure) -> None:
-    """Exclude artists within the axes from the layout: they need no measuring."""
+    """Exclude curves and shapes inside the axes from the layout, so that they are not measured."""
     for axes in figure.axes:
         for artist in (*axes.lines, *axes.collections, *axes.patches):
             artist.set_in_layout(False)
 
 
 def save(figure: Figure, *paths: Path | str) -> Path:
-    """Save a figure, in the format of each path's ending, e.g. PNG or SVG; return the last path.
+    """Save a figure to each path, in the format of its suffix (PNG or SVG); return the last path.
 
-    Under several names it is laid out once.
+    The figure is arranged for the first file and keeps this arrangement for all further files.
+    At least one path is required.
 
     Raises
     ------

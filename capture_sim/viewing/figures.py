@@ -1,14 +1,18 @@
 """Plots of one run, or of several runs overlaid.
 
-Every function takes runs (:class:`capture_sim.Run`, one or a sequence) and returns a figure of
-matplotlib; :func:`capture_sim.viewing.canvas.save` saves it.
+The functions that draw a figure take runs (:class:`capture_sim.Run`, one or a sequence) and return
+a figure of matplotlib; :func:`capture_sim.viewing.canvas.save` saves it.
 
-Common keywords: ``labels``, one for each run, instead of the scenes' names; ``window``, start and
-end of the drawn time, s on the drawn axis (of the path, the loops and the energies s since the
-release); ``aligned``, time counts from each run's first touch.
+Common keywords:
 
-More runs than there are colours are drawn as an envelope: their range, the middle half of them and
-their median.
+- ``labels``: one name for each run, instead of the scenes' names.
+- ``window``: start and end of the drawn time, s.  The times are those of the plot's time axis.  For
+  the path, the force over the stroke and the energies they are s since the release.
+- ``aligned``: True to count each run's time from its first touch.
+
+If there are more runs than colours (10), quantities over time are drawn as the range, the middle
+half and the median of all runs.  Paths and forces over the stroke are then thin lines in one
+colour.
 
 Touches of a light tip last a fraction of a millisecond, less than a sample period: give runs
 through :func:`capture_sim.viewing.source.resolved` to draw them with samples inside every touch.
@@ -79,10 +83,12 @@ class Picture(NamedTuple):
 def pictures_of(
     runs: Runs, labels: Sequence[str] | None = None, window: Window | None = None
 ) -> list[Picture]:
-    """Return every plot of runs, those over time aligned at the first touch if there are several.
+    """Return all plots that apply to runs; each is drawn when its ``draw`` is called.
 
-    Runs without energies, e.g. measured ones, have neither the plots of energy nor those of the
-    force in the buffer and of the penetration.  ``window`` is s since the release.
+    ``window`` is the drawn time, s since the release.  Without it, several runs are aligned at
+    their first touch.  If a run has no energies, e.g. a measured run, there are no plots of
+    energies, of the force over the stroke, and of the penetration.  With more than 10 runs there
+    are no plots of energies and no views from above.  With a window there are no views from above.
     """
     plotted = plotted_runs(runs, labels)
     several = [each.run for each in plotted]
@@ -116,7 +122,7 @@ def over_time(
     window: Window | None = None,
     aligned: bool = False,
 ) -> Figure:
-    """Draw one of :data:`capture_sim.viewing.curves.PANELS`."""
+    """Draw a quantity over time; ``panel`` is its key in :data:`.curves.PANELS`."""
     shown = plotted_runs(runs, labels, aligned=aligned)
     figure, [[axes]] = subplots(8.0, 4.6)
     _draw_over_time([axes], [PANELS[panel]], shown, window)
@@ -128,7 +134,11 @@ def over_time(
 
 
 def sheet(panels: Sequence[str], runs: Runs, *, labels: Sequence[str] | None = None) -> Figure:
-    """Draw four panels over one time; several runs are aligned at their first touch."""
+    """Draw four quantities, in two rows of two, over the same time axis.
+
+    ``panels`` are four keys of :data:`capture_sim.viewing.curves.PANELS`.  Several runs are aligned
+    at their first touch.
+    """
     shown = plotted_runs(runs, labels, aligned=isinstance(runs, Sequence) and len(runs) > 1)
     figure, axes_grid = subplots(12.5, 8.2, 2, 2, sharex=True)
     _draw_over_time(axes_grid.flat, [PANELS[panel] for panel in panels], shown, None)
@@ -143,7 +153,7 @@ def sheet(panels: Sequence[str], runs: Runs, *, labels: Sequence[str] | None = N
 def trajectory(
     runs: Runs, *, labels: Sequence[str] | None = None, window: Window | None = None
 ) -> Figure:
-    """Draw the path of the tip's centre in the cone, all runs in one cone."""
+    """Draw the path of the tip's centre in the cone's frame, of all runs in one plot."""
     shown = plotted_runs(runs, labels, window=window)
     figure, [[axes]] = subplots(7.4, 7.6, grid=None)
     draw_trajectory(axes, shown)
@@ -159,7 +169,7 @@ def velocities(
     window: Window | None = None,
     aligned: bool = False,
 ) -> Figure:
-    """Draw horizontal, vertical and angular velocities: chaser on the left, target on the right."""
+    """Draw velocities along x and y and angular velocities; chaser on the left, target right."""
     shown = plotted_runs(runs, labels, aligned=aligned)
     figure, rows = subplots(11.0, 8.2, 3, 2, sharex=True, sharey="row")
     for column, (vehicle, axes) in enumerate(zip(("chaser", "target"), rows.T, strict=True)):
@@ -177,7 +187,11 @@ def velocities(
 def load_stroke(
     runs: Runs, *, labels: Sequence[str] | None = None, window: Window | None = None
 ) -> Figure:
-    """Draw force over stroke of the axial buffer; the loops' area is the energy of its damper."""
+    """Draw force over stroke of the axial buffer.
+
+    The area of the loops is the energy that the buffer dissipates.  The legend has the energy
+    dissipated by the axial damper from the start of the run to the last drawn sample.
+    """
     shown = plotted_runs(runs, labels, window=window)
     figure, [[axes]] = subplots(8.4, 5.0)
     many = are_many(shown)
@@ -232,14 +246,14 @@ def energies(
 def snapshots(runs: Runs, *, count: int = 6, labels: Sequence[str] | None = None) -> Figure:
     """Draw a run as a strip of views from above, or several runs as strips side by side.
 
-    The views are at the start, at the first touch, and evenly spread up to the verdict.
+    The views are those of :func:`snapshot_times`.
 
     Parameters
     ----------
     runs
-        One, or several.
+        One run, or a sequence of runs.
     count
-        Number of views of each run, at least 2.
+        Number of views of each run, 2 to 26.
     labels
         One name for each run; None for the names of the scenes.
     """
@@ -280,7 +294,7 @@ def snapshots(runs: Runs, *, count: int = 6, labels: Sequence[str] | None = None
 
 
 def _name_parts(axes: Axes, plotted: PlottedRun) -> None:
-    """Name the cone, at its upper lip, and the path by its colour, in the first view."""
+    """Write the names of the cone and of the tip's path into the first view."""
     q = plotted.samples["q"][0]
     lip = placed(wall(plotted.scene.cone, 1)[1:] - (plotted.scene.cone.L_T, 0.0), *q[list(TARGET)])
     look: dict[str, Any] = {"textcoords": "offset points", "fontsize": style.SMALL}
@@ -291,7 +305,12 @@ def _name_parts(axes: Axes, plotted: PlottedRun) -> None:
 
 
 def snapshot_times(run: Run, count: int) -> np.ndarray:
-    """Return the times of views, (count,), s: start, first touch, evenly to the verdict."""
+    """Return the times of views from above, (count,), s since the release.
+
+    The first is the start, the second is the first touch, and the others are evenly spread to the
+    end of the drawn time, shortly after the verdict.  If there is no touch, or if it is less than
+    20 ms after the start, all times are evenly spread.
+    """
     start, end = float(run.samples["t"][0]), time_window(run)[1]
     touch = first_touch(run.events)
     if touch is None or touch.t - start < 0.02:
@@ -300,13 +319,13 @@ def snapshot_times(run: Run, count: int) -> np.ndarray:
 
 
 def state_at(run: Run, t: float) -> np.ndarray:
-    """Return the coordinates at a time between the samples, (8,)."""
+    """Return the coordinates q, (8,), at a time ``t``, s, interpolated between the samples."""
     samples = run.samples
     return np.array([np.interp(t, samples["t"], samples["q"][:, i]) for i in range(8)])
 
 
 def legend_above(figure: Figure) -> None:
-    """Explain all labelled curves of a figure in one legend above it, each label once."""
+    """Replace all legends of a figure by one above it, which contains each label once."""
     for earlier in [*figure.legends, *(axes.get_legend() for axes in figure.axes)]:
         if earlier is not None:
             earlier.remove()
@@ -354,7 +373,7 @@ def _draw_over_time(
     shown: Sequence[PlottedRun],
     window: Window | None,
 ) -> None:
-    """Draw a quantity in each axes over one time."""
+    """Draw one quantity in each axes, all over the same time."""
     start, end = window = common_window(shown, window)
     for axes, quantity in zip(all_axes, quantities, strict=True):
         draw_quantity(axes, quantity, shown, window)
@@ -368,7 +387,10 @@ def _draw_over_time(
 def _label_runs(
     axes: Axes, shown: Sequence[PlottedRun], *, contact: bool = True, outside: bool = False
 ) -> None:
-    """Explain colours and dashes in a legend, in the axes or, of all axes, above the figure."""
+    """Add a legend of the runs' colours and, if ``contact``, of the line styles.
+
+    It is in the axes; if ``outside``, it is above the figure and covers all axes of the figure.
+    """
     if not are_many(shown):
         if len(shown) > 1:
             for plotted in shown:

@@ -1,7 +1,7 @@
-"""The part of the live viewer without ROS: samples in, a moving picture out.
+"""The part of the live viewer that does not use ROS: it shows samples in rerun as they arrive.
 
-Rate and memory are bounded: samples are collected and logged a few times a second, and the server
-has a limit of memory.
+Its load is bounded: samples are collected and sent to rerun's server a few times a second, and the
+server keeps only a limited number of MB.
 """
 
 from __future__ import annotations
@@ -20,17 +20,20 @@ from capture_sim.viewing.rerun_plots import PlotLog, event_text
 from capture_sim.viewing.rerun_server import RecordingServer
 from capture_sim.viewing.rerun_stream import RunStream
 
-#: A run that is joined later than this, s since the release, is shown with a note.
+#: If the first sample is later than this, s since the release, an event says what is not shown.
 LATEST_JOIN = 0.1
 
 _BEGINS = {"landed": Phase.COAST, "rail_end": Phase.FREE, "latched": Phase.LATCHED}
 
 
 class LiveView:
-    """Shows runs while they are simulated or measured, one recording each.
+    """Shows runs in rerun while they are simulated or measured, one run after the other.
 
-    The server of the recordings listens on a TCP port of this machine and keeps ``memory`` MB for
-    viewers that connect late; ``refresh`` is the rate of the picture, Hz (wall).
+    Each run is a rerun recording of its own.  The recordings go to a server process that listens on
+    the TCP port ``port`` of this machine.  The server keeps the newest ``memory`` MB for viewers
+    that connect late.  ``refresh`` is the rate of updates, Hz (wall).  ``address`` is the URL for
+    viewers, ``server_pid`` the process id of the server.  CaptureSimError if the port is taken or
+    the server does not start.
     """
 
     def __init__(self, port: int, memory: int = 64, refresh: float = 10.0) -> None:
@@ -41,7 +44,11 @@ class LiveView:
         self._recording: rr.RecordingStream | None = None
 
     def begin(self, name: str, scene: Scene, *, measured: bool = False) -> None:
-        """Begin to show a run: its name, geometry, and whether its samples are measurements."""
+        """Begin to show a run, and end the run that was shown before.
+
+        ``scene``: gives the geometry.  ``measured``: True for a real bench.  Its samples contain no
+        energies, and its phases coast, free and latched begin with their events, see :meth:`event`.
+        """
         self.end()
         # an application of its own, so that each run keeps its layout
         self._recording = rr.RecordingStream(f"capture_sim {name}", recording_id=None)
@@ -63,7 +70,11 @@ class LiveView:
         self._verdict = ""
 
     def take(self, samples: np.ndarray) -> None:
-        """Add samples, (n,) of dtype SAMPLE, later than all earlier ones."""
+        """Add samples, (n,) of dtype SAMPLE, which must be later than all earlier ones.
+
+        They are shown at the next update.  Without a run, i.e. before :meth:`begin` or after
+        :meth:`end`, this and all other methods that show data do nothing.
+        """
         if self._recording is None:
             return
         if not self._joined:
@@ -74,7 +85,7 @@ class LiveView:
             self.show()
 
     def show(self) -> None:
-        """Show all added samples at once."""
+        """Show all samples that were added and are not yet shown, without waiting for an update."""
         if self._recording is None:
             return
         self._last_logged = time.monotonic()
@@ -96,24 +107,31 @@ class LiveView:
                 self._plots.states("phase", np.array([t]), [phase.label])
 
     def touch(self, t: float, peak_force: float) -> None:
-        """Mark a touch's peak: its time, s since the release, and force, N."""
+        """Show a mark at the peak of a touch; ``t``: s since the release, ``peak_force``: N."""
         if self._recording is not None:
             self._plots.mark_touches(np.array([t]), np.array([peak_force]))
 
     def event(self, t: float, kind: str, detail: str = "") -> None:
-        """Show an event, s since the release; some begin a phase that no sensor measures."""
+        """Show an event as a line of text; ``t``: s since the release, ``kind``: e.g. ``latched``.
+
+        In a measured run, the events landed, rail_end and latched also begin a phase, because no
+        sensor measures these phases.
+        """
         if self._recording is not None:
             self._plots.note(np.array([t]), [event_text(kind, detail)])
             self._unloaded = _BEGINS.get(kind, self._unloaded)
 
     def verdict(self, t: float, state: str) -> None:
-        """Show the detector's state, s since the release."""
+        """Show a state of the detector from ``t`` on, s since the release, if it is a new one."""
         if self._recording is not None and state != self._verdict:
             self._verdict = state
             self._plots.states("verdict", np.array([t]), [state])
 
     def end(self) -> None:
-        """Show the rest of the run; the server keeps it."""
+        """Show all samples not yet shown and end the run; the server keeps its data for viewers.
+
+        RuntimeError of rerun if the server can no longer be reached.
+        """
         if self._recording is not None:
             self.show()
             self._recording.flush()
@@ -121,7 +139,7 @@ class LiveView:
             self._recording = None
 
     def close(self) -> None:
-        """End the run and the server."""
+        """End the run and the server process; a server that has ended already is no error."""
         try:
             self.end()
         except RuntimeError:

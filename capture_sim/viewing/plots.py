@@ -1,4 +1,4 @@
-"""Plots of one run each, and of several runs side by side, a colour each."""
+"""Summary plots: of one run, of several runs overlaid, and of several runs side by side."""
 
 from __future__ import annotations
 
@@ -65,6 +65,8 @@ def plot(*runs: Run, labels: Sequence[str] | None = None) -> Figure:
     ------
     TypeError
         An argument is no run, e.g. a list of runs or the name of a scene.
+    ValueError
+        There is no run, or several runs have another number of labels.
 
     Examples
     --------
@@ -86,7 +88,7 @@ def plot(*runs: Run, labels: Sequence[str] | None = None) -> Figure:
 
 
 def draw_run(run: Run, label: str | None = None) -> Figure:
-    """Return the figure of one run, under its label or its scene's name."""
+    """Return the summary figure of one run; its title has the label, or else the scene's name."""
     [plotted] = plotted_runs(run)
     title = source.headline(run, label)
     # titles have y=1.0, or matplotlib measures all ticks to place them
@@ -103,9 +105,10 @@ def draw_run(run: Run, label: str | None = None) -> Figure:
 
 
 def draw_overview(runs: Sequence[Run], labels: Sequence[str] | None = None) -> Figure:
-    """Return the figure of several runs side by side, at most three abreast, under their labels.
+    """Return a figure of several runs side by side, in at most three columns.
 
-    These are the scenes' names, numbered where they are the same, unless given.
+    The title of each run has its label.  Without labels, it has the scene's name, with a number if
+    several runs have the same name.
     """
     shown = plotted_runs(runs, labels)
     titles = [source.headline(plotted.run, plotted.label, _COLUMN) for plotted in shown]
@@ -163,7 +166,10 @@ def _draw_trajectory(axes: Axes, plotted: PlottedRun, title: str) -> None:
 def _draw_over_time(
     all_axes: Sequence[Axes], plotted: PlottedRun, quantities: Sequence[Quantity]
 ) -> None:
-    """Draw the contact force, quantities, and over all of them when the tip touches."""
+    """Draw the contact force and the quantities over time, one in each axes.
+
+    The times at which the tip touches the cone are shaded in all axes.
+    """
     run, window = plotted.run, source.time_window(plotted.run)
     loads = run.loads
     if source.has_force(run):
@@ -215,7 +221,7 @@ def _draw_over_time(
 
 
 def _draw_force(axes: Axes, plotted: PlottedRun) -> None:
-    """Draw the force of each wall, with each touch's peak, on a logarithmic axis."""
+    """Draw each wall's normal force and each touch's peak force on a logarithmic axis."""
     run, colour = plotted.run, plotted.colour
     for force in run.samples["normal_force"].T:
         axes.plot(plotted.time, np.where(force > 0.0, force, np.nan), color=colour, lw=1.6)
@@ -239,7 +245,7 @@ def _draw_force(axes: Axes, plotted: PlottedRun) -> None:
 
 
 def _mark_verdict(axes: Axes, run: Run, window: Window) -> None:
-    """Mark when it latched and when it was decided, where that is in the window."""
+    """Mark the times of latching and of the verdict that are in the window, s since the release."""
     decided = source.decided_at(run)
     moments = [
         (e.t, "latched", style.GREY, 0.95) for e in run.events if e.kind is EventKind.LATCHED
@@ -270,9 +276,10 @@ def _mark_verdict(axes: Axes, run: Run, window: Window) -> None:
 
 
 def draw_bench(axes: Axes, plotted: PlottedRun) -> str:
-    """Draw the vehicles at the start (dashed) and at the first touch (solid), m.
+    """Draw both vehicles at the first touch from above, m, and return the drawn instants in words.
 
-    Return the drawn instants in words.
+    A run without a touch is drawn at its last sample.  If the chaser has moved more than 1 cm, it
+    is also drawn at the start, dashed.
     """
     run, scene, start = plotted.run, plotted.scene, plotted.samples["q"][0]
     touch = first_touch(run.events)
@@ -296,7 +303,10 @@ def draw_bench(axes: Axes, plotted: PlottedRun) -> str:
 
 
 def _name(axes: Axes, text: str, box: Box, pose: np.ndarray, side: float = 0.0) -> None:
-    """Write along a body's front-to-rear axis, in its middle or to a side, 0 to 1, of it."""
+    """Write a name on a vehicle, parallel to its front-to-rear axis.
+
+    ``side`` is the lateral offset from the middle, as a share of the vehicle's half-width.
+    """
     place = np.array([[(box.back + box.front) / 2, side * box.half_width]])
     middle = shapes.placed(place, *pose)[0]
     axes.text(
@@ -313,7 +323,7 @@ def _name(axes: Axes, text: str, box: Box, pose: np.ndarray, side: float = 0.0) 
 
 
 class Moment(NamedTuple):
-    """An instant worth a picture of the tip."""
+    """An instant at which the tip is drawn in the cone."""
 
     t: float  # s
     place: np.ndarray  # tip's centre in the cone's frame, (2,), m
@@ -321,9 +331,11 @@ class Moment(NamedTuple):
 
 
 def key_moments(run: Run) -> list[Moment]:
-    """Return first touch, strongest touch, then latching or closest approach, and end.
+    """Return the instants of a run at which the tip is drawn, in order of time.
 
-    The end counts only where it lies within the frame.
+    These are the first touch, the strongest touch (unless it is the first) and the latching.
+    Without latching, they are the closest approach to BE instead, and the last sample if the tip's
+    centre is then inside the drawn range.
     """
     samples = run.samples
     t, places = samples["t"], shapes.tip_in_cone(samples)
@@ -361,7 +373,7 @@ def key_moments(run: Run) -> list[Moment]:
 
 
 def draw_tip(axes: Axes, scene: Scene, moments: list[Moment], colour: str) -> None:
-    """Draw the tip as a circle at each moment, marked a, b, c..."""
+    """Draw the tip as a circle at each moment, and name the moments a, b, c, ... in order."""
     radius = scene.probe.tip_radius * _MM
     halo = [patheffects.withStroke(linewidth=3, foreground="white")]
     for i, moment in enumerate(moments):

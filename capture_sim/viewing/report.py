@@ -1,4 +1,4 @@
-"""Runs as one page of HTML: no scripts, no other files, and it prints."""
+"""Report of runs as one HTML page that needs no scripts and no other files, and can be printed."""
 
 from __future__ import annotations
 
@@ -34,13 +34,18 @@ from capture_sim.viewing.source import (
     start_word,
 )
 
-#: Of pictures that are printed too.
+#: Resolution of the pictures, dots per inch: enough for printing.
 _DPI = 144
 _HALF = 8.5  # inches: wider pictures are as wide as the page
 
 
 def error_statement(run: Run) -> str:
-    """Return how far to trust a simulated run: it is made again, as it was and finer."""
+    """Return a text on the accuracy of a simulated run, found by simulating it again, twice.
+
+    The first simulation has the run's settings and shows whether the run can be reproduced.  The
+    second has a hundredth of the tolerance, so its difference estimates the integration error.  If
+    the run cannot be simulated again, the text gives the reason.
+    """
     times = np.asarray(run.samples["t"])
     try:
         control = applied_again(run)
@@ -79,12 +84,12 @@ _MEASURED = (
 )
 
 
-#: Is called with the number of finished steps of the report, and of all steps.
+#: Function that is called with the number of finished steps of the report, and of all steps.
 ShowProgress = Callable[[int, int], None]
 
 
 class _Image(NamedTuple):
-    """A picture of the page: its caption, its file as a data URL, and its class."""
+    """A picture of the page: caption, PNG file as a data URL, and width on the page."""
 
     caption: str
     source: str
@@ -95,6 +100,8 @@ def save_report(
     runs: Sequence[Run], path: Path | str, progress: ShowProgress = lambda done, count: None
 ) -> Path:
     """Save the report of runs as one HTML file; return its path.
+
+    ``progress`` is called before each step of the report and at its end, see :data:`ShowProgress`.
 
     Raises
     ------
@@ -108,7 +115,11 @@ def save_report(
 
 
 def report(runs: Sequence[Run], progress: ShowProgress = lambda done, count: None) -> str:
-    """Return the report of runs as one page of HTML; each run is simulated again."""
+    """Return the report of runs as the text of one HTML page.
+
+    Each simulated run is simulated again: to draw it with samples in every touch, and for
+    :func:`error_statement`.  ``progress`` is called as by :func:`save_report`.
+    """
     names = [run.name for run in runs]
     with_ledger = [run for run in runs if has_ledger(run)]
     pictures = pictures_of([resolved_or_not(run) for run in runs], names)
@@ -145,9 +156,9 @@ def report(runs: Sequence[Run], progress: ShowProgress = lambda done, count: Non
 
 
 def _image(picture: Picture) -> _Image:
-    """Return a picture for the page.
+    """Draw a picture for the page as a PNG file of 64 colours.
 
-    As PNG: with 64 colours, each is smaller than its SVG file, whose letters are paths.
+    Reason: an SVG file of the same picture is larger, because its letters are stored as paths.
     """
     figure = picture.draw()
     data = base64.b64encode(small_png(figure, _DPI)).decode()
@@ -156,7 +167,7 @@ def _image(picture: Picture) -> _Image:
 
 
 def _about(run: Run) -> dict[str, Any]:
-    """Return the section of the page on a run."""
+    """Return the data of the page's section on one run, for the template ``report.html.j2``."""
     lines = []
     for event in run.events:
         _, wall = style.WALLS.get(event.wall, style.NO_WALL)
@@ -190,7 +201,12 @@ def _source(run: Run) -> str:
 
 
 def energy_rows(runs: Sequence[Run]) -> list[tuple[str, ...]]:
-    """Return the ledger at the end of each run, mJ, a row for each entry that is not zero."""
+    """Return the rows of the table of energies: a name, then a value of each run, mJ, as text.
+
+    The first row is the kinetic energy at the first sample, the last row the largest absolute
+    residual of the ledger.  The rows between are the energies at the last sample; an energy below
+    0.0005 mJ in all runs has no row.
+    """
     lines: list[tuple[str, ...]] = []
     for name in ENERGIES:
         if name == "energy_residual":
@@ -207,9 +223,11 @@ def energy_rows(runs: Sequence[Run]) -> list[tuple[str, ...]]:
 def parameter_rows(
     scenes: Sequence[Scene],
 ) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
-    """Return every parameter of the scenes: rows that differ, and rows that all share.
+    """Return all parameters of the scenes as rows of text: those that differ, those that do not.
 
-    A row holds name, unit, a value (of each scene, where they differ) and the meaning.
+    A row that differs has name, unit, one value for each scene (``-`` if the scene has no such
+    parameter) and meaning.  A row that does not differ has name, unit, the common value and
+    meaning.  The scenes' names and titles are left out.
     """
     described: dict[str, Declared] = {}
     values = [dict(_fields("", scene, described)) for scene in scenes]
@@ -226,7 +244,11 @@ def parameter_rows(
 
 
 def _fields(prefix: str, part: Any, described: dict[str, Declared]) -> Iterator[tuple[str, str]]:
-    """Yield every number and choice of a part by its path; add its declaration to a dict."""
+    """Yield the path and the value, as text, of each parameter of a part and its inner parts.
+
+    ``prefix`` is the part's own path, e.g. ``buffer.``.  The declaration of each parameter is added
+    to ``described`` by its path.  Fields ``name`` and ``title`` are left out.
+    """
     for name, declaration in declared(type(part)).items():
         value = getattr(part, name)
         if is_dataclass(value):

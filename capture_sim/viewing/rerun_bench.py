@@ -1,7 +1,8 @@
-"""The bench of a run in rerun: in three dimensions, and the tip in the cone from above.
+"""Drawings of a run's bench in rerun: a view in 3D, and a close-up of the tip in the cone.
 
-The motion is plane; heights are for the eye only.  The buffer lies at z = 0, the bodies below it,
-and the upper half of the cone is left out, so that the tip can be seen from above.
+The motion is planar, so all heights are chosen for a clear picture only.  The axis of the buffer is
+at z = 0 and the bodies of both vehicles are below it.  The upper half of the cone is not drawn, so
+that the tip can be seen from above.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from capture_sim.viewing import shapes, style
 from capture_sim.viewing.rerun_stream import RunStream
 
 _MM = 1e3  # in a metre: drawings are in mm
-#: Length of the force's arrow, m for 1 N, and where it ends.
+#: Length of the arrow of the contact force, m for 1 N; no arrow is longer than _LONGEST_ARROW, m.
 FORCE_SCALE = 3e-3
 _LONGEST_ARROW = 0.12
 _STRING_PERIOD = 0.01  # s, between two positions of the string
@@ -37,13 +38,17 @@ _Y_AXIS = rr.Quaternion(xyzw=[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])  # turns z 
 
 
 class BenchLog:
-    """Logs the bench of a scene in the colour of its run: shapes once, motion as it comes."""
+    """Logs the drawings of a scene's bench to a rerun recording, with the tip in the run's colour.
+
+    The constructor logs all shapes once.  :meth:`motion` then moves them.  ``colour`` is
+    ``#RRGGBB``.
+    """
 
     def __init__(self, stream: RunStream, scene: Scene, colour: str) -> None:
         self._stream, self._scene, self._colour = stream, scene, style.rgb(colour)
         self._map = f"{stream.name}/close_up"
         self._highest = 0.0  # place of the hanging mass so far, m
-        #: How far the collar that the spring pushes sits behind the tip's centre, m.
+        #: Distance from the tip's centre back to the collar that the spring pushes, m.
         self._collar = scene.probe.tip_radius + 0.5 * scene.probe.length
         target, chaser = scene.initial.target, scene.initial.chaser
         height = _BODY_TOP - _BODY_HEIGHT / 2
@@ -54,7 +59,11 @@ class BenchLog:
         self._log_close_up()
 
     def motion(self, samples: np.ndarray, touching: np.ndarray) -> None:
-        """Log all positions, from samples (n,) and whether the tip touches, (n,) bool."""
+        """Log the positions of all moving shapes and the contact force at the samples' times.
+
+        ``samples``: (n,) of dtype SAMPLE.  ``touching``: (n,) bool, True where the tip touches the
+        cone.
+        """
         t, q = samples["t"], samples["q"]
         for entity, body in (("chaser", shapes.CHASER), ("target", shapes.TARGET)):
             pose = q[:, list(body)]
@@ -69,7 +78,12 @@ class BenchLog:
         self._move_tip(samples, touching)
 
     def trail(self, samples: np.ndarray, touching: np.ndarray) -> None:
-        """Log the tip's path, (n,) samples: thin, thick in contact, green while latched."""
+        """Log the whole path of the tip as lines without a time.
+
+        ``samples``: (n,) of dtype SAMPLE.  ``touching``: (n,) bool, True where the tip touches the
+        cone.  In the close-up, the line is thin and black, thick in the run's colour in contact,
+        and green while the latch holds the tip.  In 3D it is one line in the run's colour.
+        """
         above = self._scene.probe.tip_radius + 0.001
         strip = _level(shapes.tip_in_world(self._scene, samples["q"]), above)
         self._shape("trail", rr.LineStrips3D([strip], radii=0.0012, colors=self._colour))
@@ -84,7 +98,11 @@ class BenchLog:
         self._draw("path_latched", strip)
 
     def trail_piece(self, samples: np.ndarray) -> None:
-        """Log the next piece of the tip's path, joined to the earlier pieces."""
+        """Log one more piece of the tip's path in the close-up, at the time of the last sample.
+
+        ``samples``: (n,) of dtype SAMPLE.  The pieces join only if the first sample is the last
+        sample of the previous piece.
+        """
         strips = [shapes.tip_in_cone(samples) * _MM]
         self._stream.columns(
             f"{self._map}/trail", samples["t"][-1:], rr.LineStrips2D, strips=strips
@@ -180,7 +198,10 @@ class BenchLog:
         self._shape("contact_force", rr.Arrows3D.from_fields(colors=_BLACK, radii=0.003))
 
     def _log_close_up(self) -> None:
-        """Log the cone as seen from above, in its own frame, mm."""
+        """Log the shapes of the close-up: the cone from above, in its own frame, mm.
+
+        The frame's origin is the centre of BE, x is the target's +x and y the target's +y.
+        """
         scene = self._scene
         # 2D views count y downwards
         self._stream.static(self._map, rr.Transform3D(scale=[1.0, -1.0, 1.0]))
@@ -210,7 +231,10 @@ class BenchLog:
         self._stream.columns(f"{self._stream.name}/world/{entity}", t, rr.Transform3D, **values)
 
     def _move_string(self, samples: np.ndarray) -> None:
-        """Move the string's horizontal part, and the hanging mass below the pulley."""
+        """Log the string from the chaser over the pulley, and the hanging mass at its end.
+
+        Nothing is logged if the scene has no string or no sample has a mass height.
+        """
         periods = np.floor(samples["t"] / _STRING_PERIOD + 1e-6)
         drawn = samples[np.flatnonzero(np.diff(periods, prepend=-1.0))]
         drawn = drawn[np.isfinite(drawn["mass_height"])]
@@ -250,9 +274,10 @@ class BenchLog:
 
 
 def cone_mesh(cone: Cone, count: int = 48) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower half of the cone in the target's frame.
+    """Return the lower half of the cone (z <= 0) as a mesh in the target's base frame.
 
-    That is its vertices, (2 count, 3), m, and its triangles, (2 count - 2, 3): indices of vertices.
+    The first array has the vertices, (2 count, 3), m: ``count`` points on BE, then ``count`` on the
+    lip.  The second array has the triangles, (2 count - 2, 3), as indices of vertices.
     """
     angle = np.linspace(np.pi, 2 * np.pi, count)
     rings = [
@@ -265,11 +290,11 @@ def cone_mesh(cone: Cone, count: int = 48) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _level(points: np.ndarray, z: float = 0.0) -> np.ndarray:
-    """Return points of the plane (n, 2) in space, (n, 3)."""
+    """Return planar points (n, 2) as points in space (n, 3), all at the height ``z``, m."""
     return np.column_stack([points, np.full(len(points), z)])
 
 
 def _yaw(angle: np.ndarray) -> np.ndarray:
-    """Return turns about z as quaternions x, y, z, w, (n, 4), from rad (n,)."""
+    """Return rotations about z as quaternions x, y, z, w, (n, 4), from angles (n,), rad."""
     zero = np.zeros(len(angle))
     return np.column_stack([zero, zero, np.sin(0.5 * angle), np.cos(0.5 * angle)])

@@ -1,4 +1,4 @@
-"""How a rerun recording opens: its views, cameras, bounds and time."""
+"""The layout with which a rerun recording opens: views, cameras, axis ranges and time panel."""
 
 from __future__ import annotations
 
@@ -35,12 +35,28 @@ def blueprint(
     span: Window | None = None,
     ranges: Mapping[str, Window] = MappingProxyType({}),
 ) -> rrb.Blueprint:
-    """Return the layout of runs side by side and overlaid, by their scenes, prefixes and headlines.
+    """Return the layout: a 3D view and a close-up of each run, and diagrams that all runs share.
 
-    ``aligned`` opens it on the time since the first touch, otherwise on simulated time; ``live``
-    follows the newest data, otherwise it is paused at the beginning.  ``energies``: they are known,
-    as those of a measured run are not.  ``span`` is the aligned time, s: a short one is played more
-    slowly.  ``ranges`` are the least and greatest value of plots by their entities.
+    Parameters
+    ----------
+    scenes
+        Scene of each run.
+    names
+        Name of each run: the first part of the paths under which its data are logged.
+    titles
+        Title of each run's 3D view.
+    aligned
+        True to open on the time since each run's first touch, False on simulated time.
+    live
+        True to follow the newest data, False to open paused at the beginning.
+    energies
+        False to leave out the diagram of energies, e.g. for measured runs, which have none.
+    span
+        Start and end, s since the first touch, of the diagrams' time axes.  The shorter it is, the
+        slower the playback.  None: rerun chooses the time axes.
+    ranges
+        Least and greatest value of a diagram by its key in :data:`PLOTS`, in the diagram's unit.
+        A range with fewer than two labelled ticks is widened, see :func:`ticked`.
     """
     rows = [
         rrb.Horizontal(
@@ -85,7 +101,11 @@ def blueprint(
 
 
 def _bench(scene: Scene, name: str, title: str) -> rrb.Spatial3DView:
-    """Look down on the bench, along the approach, from the chaser's left."""
+    """Return the 3D view of a run, seen obliquely from above and from the side of -y.
+
+    The world's x axis points to the right.  ``name``: first part of the run's paths; ``title``:
+    title of the view.
+    """
     y, middle = scene.initial.target.y, 0.03
     middle += 0.5 * (scene.initial.chaser.x + scene.initial.target.x)
     eye = rrb.EyeControls3D(
@@ -99,7 +119,11 @@ def _bench(scene: Scene, name: str, title: str) -> rrb.Spatial3DView:
 
 
 def _close_up(scene: Scene, name: str, *, live: bool) -> rrb.Spatial2DView:
-    """Show the cone and a tip's width around it."""
+    """Return the view of the tip in the cone from above, mm, with a margin around the cone.
+
+    The margin is one tip diameter along the axis and 3 mm across it.  ``live``: show all pieces of
+    the tip's path up to the present time, not only the newest piece.
+    """
     lip, margin = wall(scene.cone, 1)[1] * _MM, scene.probe.tip_radius * _MM
     # live, all pieces of the trail so far, not only the newest
     so_far = rrb.VisibleTimeRanges(
@@ -120,10 +144,11 @@ def _close_up(scene: Scene, name: str, *, live: bool) -> rrb.Spatial2DView:
 
 
 def ticked(low: float, high: float) -> Window:
-    """Return a range that has at least two labelled ticks in it, widened where it must be.
+    """Return an axis range that contains ``low`` to ``high`` and at least two labelled ticks.
 
-    Rerun labels multiples of a power of ten: a curve from -8 to 8 has a label at 0 only, and gets
-    one on either side.
+    Rerun labels only the multiples of a power of ten.  A curve from -8 to 8 would thus have a
+    label at 0 only, so its range is widened beyond -10 and 10.  A range without width is returned
+    unchanged.
     """
     if not high > low:
         return low, high
@@ -141,9 +166,10 @@ def ticked(low: float, high: float) -> Window:
 
 
 def labelled(start: float, end: float) -> Window:
-    """Return a time that has at least three labels in it, extended where it must be.
+    """Return a time range, s, from ``start`` to ``end`` or later, with at least three labels.
 
-    Rerun labels multiples of a power of ten of seconds, where they are far enough apart.
+    Rerun labels only the multiples of a power of ten of seconds, and only if the labels are far
+    enough apart.  A range without width is returned unchanged.
     """
     if not end > start:
         return start, end
@@ -176,8 +202,9 @@ def _diagram(
 def _diagrams(
     entities: Sequence[str], ranges: Mapping[str, Window], time_axis: rrb.TimeAxis | None
 ) -> list[rrb.View]:
-    """Return diagrams that are to stand one above the other, over the same time.
+    """Return one diagram for each entity, a key of :data:`PLOTS`, with the same time axis.
 
-    They are as wide as half of the window, so that there is room for labels of their time.
+    The caller puts them one above the other.  Each is then about half as wide as the window, which
+    leaves room for the labels of the time axis.
     """
     return [_diagram(entity, ranges, time_axis) for entity in entities]

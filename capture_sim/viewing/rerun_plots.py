@@ -1,4 +1,4 @@
-"""Curves, touches, states and events of a run in rerun."""
+"""Logging of a run's curves, touches, phases, verdict and events to a rerun recording."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from capture_sim.viewing.source import every_touch
 
 
 class Plot(NamedTuple):
-    """A diagram: its quantity, a note in its title, and its curves' names."""
+    """A diagram of rerun: its quantity, a note at the end of its title, and names of its curves."""
 
     quantity: Quantity
     note: str = ""
@@ -26,7 +26,7 @@ class Plot(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Above the diagram."""
+        """Title of the diagram: name and unit of its quantity, then the note."""
         return f"{self.quantity.label}, {self.quantity.unit}{self.note}"
 
 
@@ -43,7 +43,7 @@ def _ledger(samples: np.ndarray) -> np.ndarray:
     return np.stack(parts, axis=-1)
 
 
-#: By name of their entities.
+#: All diagrams.  Each key names the folder ``plots/<key>`` of the recording's paths.
 PLOTS = {
     "contact_force": Plot(FORCE, "; dots: peaks"),
     "axial_stroke": Plot(STROKE),
@@ -64,7 +64,10 @@ PLOTS = {
 
 
 class PlotLog:
-    """Logs a run's curves in its colour, by the entities of :data:`PLOTS`."""
+    """Logs a run's data for the diagrams of :data:`PLOTS`, for the state lanes and as events.
+
+    ``colour`` (``#RRGGBB``) is the colour of all curves of the run.
+    """
 
     def __init__(self, stream: RunStream, colour: str) -> None:
         self._stream, self._colour = stream, style.rgb(colour)
@@ -72,7 +75,7 @@ class PlotLog:
         self._log_styles()
 
     def _log_styles(self) -> None:
-        """Log colours, widths and names of the curves."""
+        """Log the colours, widths and names of curves, marks and states, without a time."""
         static, name, colour = self._stream.static, self._stream.name, self._colour
         for entity, plot in PLOTS.items():
             k = len(plot.curves)
@@ -94,7 +97,11 @@ class PlotLog:
             static(f"states/{name}/{lane}", shown)
 
     def curves(self, samples: np.ndarray, *, force: bool = True) -> None:
-        """Log the curves of samples, (n,), without NaN, i.e. unmeasured values."""
+        """Log the curves of all diagrams from samples (n,) of dtype SAMPLE.
+
+        Values that are not finite, i.e. were not measured, are left out.  ``force``: False leaves
+        out the contact force, for a caller that logs it with :meth:`touches`.
+        """
         for entity, plot in PLOTS.items():
             if force or plot.quantity is not FORCE:
                 self._curve(entity, samples["t"], plot.quantity.of(samples))
@@ -105,27 +112,36 @@ class PlotLog:
             self._stream.scalars(self._path(entity), t[finite], values[finite])
 
     def touches(self, plotted: PlottedRun) -> None:
-        """Log the force with every touch in it, and a mark at each touch's peak."""
+        """Log the contact force with the peaks of all touches, and a mark at each peak.
+
+        Most touches are shorter than a sample period, so samples alone would miss their peaks.
+        """
         self._curve("contact_force", *plotted.curve(FORCE))
         touches = plotted.run.touches
         ordered = touches[np.argsort(touches["peak_time"], kind="stable")]
         self.mark_touches(ordered["peak_time"], ordered["peak_force"])
 
     def mark_touches(self, t: np.ndarray, force: np.ndarray) -> None:
-        """Mark touches by the time and the force of their peaks, (n,) s and N."""
+        """Log a mark at the peak of each touch.
+
+        ``t``: times of the peaks, (n,), s since the release.  ``force``: peak forces, (n,), N.
+        """
         self._stream.scalars(self._touches, t, force)
 
     def states(self, lane: str, t: np.ndarray, states: list[str]) -> None:
-        """Log states, each from its time on, in the lane ``phase`` or ``verdict``."""
+        """Log the states of the run's lane ``phase`` or ``verdict``.
+
+        Each state lasts from its time in ``t``, (n,), s since the release, to the next one's.
+        """
         self._stream.columns(f"states/{self._stream.name}/{lane}", t, rr.StateChange, state=states)
 
     def events(self, run: Run) -> None:
-        """Log the events as text."""
+        """Log all events of the run as lines of text."""
         texts = [event_text(event.kind.label, event.detail) for event in run.events]
         self.note(np.array([event.t for event in run.events]), texts)
 
     def note(self, t: np.ndarray, texts: list[str]) -> None:
-        """Log lines of text, at (n,) s."""
+        """Log lines of text at the times ``t``, (n,), s; each is prefixed with the run's name."""
         name = self._stream.name
         lines = [f"{name}: {text}" for text in texts]
         level = ["INFO"] * len(texts)
@@ -136,14 +152,15 @@ class PlotLog:
 
 
 def event_text(kind: str, detail: str) -> str:
-    """Return an event in one line."""
+    """Return the line of text for an event: its kind, and its detail unless that is empty."""
     return f"{kind}, {detail}" if detail else kind
 
 
 def phases(run: Run, samples: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the times (n,), s, at which a phase begins, and the phases' names.
+    """Return the times at which a phase begins, (n,), s since the release, and the phases' names.
 
-    Contact begins and ends at the located ends of the touches.
+    Contact begins at the located start of a touch and ends at its located end, not at a sample.
+    Any other phase begins at the first sample that has it, or at the end of a touch.
     """
     t, phase = samples["t"], samples["phase"].astype(int)
     phase[phase == Phase.CONTACT] = Phase.FREE
@@ -161,6 +178,9 @@ def phases(run: Run, samples: np.ndarray) -> tuple[np.ndarray, list[str]]:
 
 
 def verdicts(run: Run) -> tuple[np.ndarray, list[str]]:
-    """Return the times (n,), s, at which a state of the detector begins, and the states' names."""
+    """Return when each state of the detector begins, (n,), s since the release, and its name.
+
+    Both are empty if the detector has given no status.
+    """
     firsts = [next(same) for _, same in groupby(run.statuses, key=lambda status: status.state)]
     return np.array([status.t for status in firsts]), [status.state.label for status in firsts]

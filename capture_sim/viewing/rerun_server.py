@@ -1,4 +1,4 @@
-"""The program of rerun: a server of live recordings, or a viewer."""
+"""The program ``rerun``, and its start as a server that keeps live recordings for viewers."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from pathlib import Path
 from capture_sim.base.interrupts import tied
 from capture_sim.errors import CaptureSimError
 
-#: All traffic stays on this machine.
+#: Address of the server: only programs on this machine can connect.
 LOCALHOST = "127.0.0.1"
-#: The server accepts connections within this long, s (wall).
+#: Longest wait until the server accepts connections, s (wall).
 START_TIMEOUT = 30.0
 
 
 def program() -> Path:
-    """Return the program in rerun's Python package; ImportError if rerun is not installed.
+    """Return the path of the executable ``rerun`` that the Python package of rerun contains.
 
-    The package's Python wrapper would leave the program running when it is ended itself.
+    Start this file and not the package's Python script of the same name: if that script is ended,
+    the executable that it has started keeps running.  ImportError if rerun is not installed.
     """
     spec = importlib.util.find_spec("rerun_cli")
     if spec is None or spec.origin is None:
@@ -29,10 +30,12 @@ def program() -> Path:
 
 
 class RecordingServer:
-    """Keeps live recordings for viewers that connect sooner or later.
+    """A server process that receives live recordings and keeps them for viewers that connect later.
 
-    It listens on a TCP port of this machine only, and keeps the newest ``memory`` MB.
-    CaptureSimError if the port is taken or the server does not start.
+    It listens on the TCP port ``port`` of this machine only, and keeps the newest ``memory`` MB.
+    ``address`` is the URL for senders and viewers.  The constructor returns when the server accepts
+    connections.  CaptureSimError if the port is taken or the server does not start, ImportError if
+    rerun is not installed.
     """
 
     def __init__(self, port: int, memory: int) -> None:
@@ -74,7 +77,7 @@ class RecordingServer:
         return self._process.pid
 
     def close(self) -> None:
-        """End the server."""
+        """End the server process; kill it if it has not ended 5 s after SIGTERM."""
         self._process.terminate()
         try:
             self._process.wait(5.0)

@@ -1,8 +1,9 @@
-"""A run's prefix and timelines in a rerun recording.
+"""Logging of one run to a rerun recording, under the run's name and on two timelines.
 
-Two timelines: ``sim_time`` has the whole run; ``since_first_touch`` counts from each run's first
-touch, so that runs are overlaid, and has only the time around the contact.  A viewer opens a
-timeline at its beginning: the second one makes it open shortly before the touch.
+The timeline ``sim_time`` has the whole run, in s since the release.  The timeline
+``since_first_touch`` counts from each run's first touch, so that several runs are overlaid, and has
+only the time around the contact.  A viewer opens a timeline at its beginning, so a recording with
+``since_first_touch`` opens shortly before the first touch.
 """
 
 from __future__ import annotations
@@ -21,14 +22,17 @@ from capture_sim.viewing.source import decided_at, every_touch
 SIM_TIME = "sim_time"
 ALIGNED = "since_first_touch"
 
-#: The aligned timeline begins this long before the first touch, s.
+#: The timeline ``since_first_touch`` begins this long before the first touch, s.
 LEAD = 0.1
-#: ... and ends this long after the last touch or the verdict, s.
+#: It ends this long after the last touch or the verdict, whichever is later, s.
 _TRAIL = 0.15
 
 
 class Span(NamedTuple):
-    """Begin and end of a run on the aligned timeline, and the touch that is its zero; s."""
+    """The part of a run on the timeline ``since_first_touch``: first touch, begin and end.
+
+    All three are in s since the release; the timeline is zero at ``touch``.
+    """
 
     touch: float
     begin: float
@@ -36,10 +40,13 @@ class Span(NamedTuple):
 
 
 def aligned_span(run: Run, samples: np.ndarray) -> Span | None:
-    """Return the span of a run's contact in its drawn samples; None if they have none of it.
+    """Return the part of a run around its contact, for the timeline ``since_first_touch``.
 
-    For a run that is cut to a window, it is within the window: a viewer opens at the first
-    sample, and events outside do not widen the axes.
+    It is from :data:`LEAD` before the first touch to 0.15 s after the last touch or the verdict,
+    whichever is later.  ``samples``: the samples that are drawn, (n,) of dtype SAMPLE, perhaps only
+    those of a window.  The part is cut to their time, so that a viewer opens at the first of them,
+    and events outside do not widen the axes.  The result is None if the run has no touch, or if no
+    sample lies in this time.
     """
     touch, t = first_touch(run.events), samples["t"]
     if touch is None or t[-1] < touch.t - LEAD:
@@ -52,7 +59,11 @@ def aligned_span(run: Run, samples: np.ndarray) -> Span | None:
 
 
 class RunStream:
-    """Logs one run under its name, with ``span`` of it on the aligned timeline too."""
+    """Logs one run to a rerun recording, under paths that contain its name.
+
+    All data with a time are on the timeline ``sim_time``; data within ``span`` are also on
+    ``since_first_touch``.  With ``span`` None, no data are on that second timeline.
+    """
 
     def __init__(self, recording: rr.RecordingStream, name: str, span: Span | None = None) -> None:
         self.name = name
@@ -60,13 +71,17 @@ class RunStream:
         self._span = span
 
     def static(self, path: str, *archetypes: rr.AsComponents) -> None:
-        """Log data without a time, under the full path of an entity."""
+        """Log data without a time; ``path`` is the full path in the recording."""
         self._recording.log(path, *archetypes, static=True)
 
     def columns(
         self, path: str, t: np.ndarray, archetype: Any, **values: Sequence | np.ndarray
     ) -> None:
-        """Log values over time: the columns of an archetype, (n, ...) each, at t (n,), s."""
+        """Log values over time, under the full path ``path`` in the recording.
+
+        ``t``: ascending times, (n,), s since the release.  ``archetype``: class of rerun.
+        ``values``: fields of that class by name, each with n rows.
+        """
         span, first, last = self._span, 0, 0
         if span is not None:
             # with the sample before, so that there is data from the beginning on
@@ -83,15 +98,15 @@ class RunStream:
             self._recording.send_columns(path, indexes=indexes, columns=columns)
 
     def scalars(self, path: str, t: np.ndarray, values: np.ndarray) -> None:
-        """Log one curve (n,), or several of one entity (n, k)."""
+        """Log one curve, (n,), or k curves, (n, k), under one path; ``t``: times, (n,), s."""
         self.columns(path, t, rr.Scalars, scalars=values)
 
     def scene(self, title: str, scene: Scene) -> None:
-        """Log the scene under a title, as a text in Markdown."""
+        """Log the scene's YAML under a title, as a Markdown text without a time."""
         text = f"# {title}\n\n```yaml\n{scene.to_yaml()}\n```\n"
         document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self.static(f"{self.name}/scene", document)
 
     def property(self, **values: Any) -> None:
-        """Log properties of the run."""
+        """Log properties of the run by name: single values that the viewer lists."""
         self._recording.send_property(self.name, rr.AnyValues(**values))

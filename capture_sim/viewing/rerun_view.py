@@ -1,7 +1,8 @@
-"""Runs side by side as one rerun recording with its layout inside.
+"""Export of runs to one rerun recording (``.rrd``) that also contains the viewer's layout.
 
-``rerun runs.rrd`` then opens, paused shortly before the first touch, with the bench of every run
-in 3D and a close-up of the tip in the cone, and beside them the runs' curves in common diagrams.
+``rerun runs.rrd`` opens it, paused shortly before the first touch (if no run has a touch, at the
+first sample).  It shows the bench of each run in 3D, a close-up of the tip in the cone, and the
+curves of all runs in common diagrams.
 """
 
 from __future__ import annotations
@@ -36,11 +37,20 @@ def save_rrd(
     labels: Sequence[str] | None = None,
     window: Window | None = None,
 ) -> Path:
-    """Save at least one run as one rerun recording; return its path.
+    """Save runs as one rerun recording; return its path.
 
-    ``labels`` are the runs' names; None takes those of the scenes, numbered if they are equal.
-    ``window`` is the time to show, s since the release.  RecordingError: the file cannot be
-    written.
+    ``labels`` are the runs' names; None takes the names of their scenes.  Equal names are numbered.
+    ``window`` is the start and end of the time to save, s since the release; None saves all of it.
+    Data are saved at the runs' samples, see :func:`capture_sim.viewing.source.resolved`.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    CaptureSimError
+        A run has no sample in the window.
+    ValueError
+        There is no run, or the number of labels is not the number of runs.
     """
     path, plotted = Path(path), plotted_runs(runs, labels, window=window)
     # a file's name may be none that a path in the viewer can have
@@ -72,14 +82,20 @@ def save_rrd(
 
 
 def _common_span(spans: Sequence[Span]) -> Window | None:
-    """Return the aligned time of runs together, s; None without any."""
+    """Return the earliest begin and the latest end, s since each run's first touch.
+
+    The result is None if ``spans`` is empty.
+    """
     if not spans:
         return None
     return min(s.begin - s.touch for s in spans), max(s.end - s.touch for s in spans)
 
 
 def _ranges(plotted: Sequence[PlottedRun], spans: Sequence[Span | None]) -> dict[str, Window]:
-    """Return least and greatest value of each plot in the aligned time of the runs."""
+    """Return the least and greatest value of each diagram, by its key in :data:`PLOTS`.
+
+    Only the runs' samples within their spans count.  A diagram without finite values is absent.
+    """
     parts = []
     for each, span in zip(plotted, spans, strict=True):
         if span is not None:
@@ -115,7 +131,10 @@ def _log_run(stream: RunStream, plotted_run: PlottedRun, title: str) -> None:
 
 
 def _log_limits(recording: rr.RecordingStream, plotted: Sequence[PlottedRun]) -> None:
-    """Log the limits that all runs share, capture zone and stops, as horizontal lines."""
+    """Log the radius of the capture zone and the buffer's stops as horizontal lines.
+
+    A diagram has such lines only if they are the same for all runs.
+    """
     # as long as the longest run on either timeline
     longest = max(plotted, key=lambda each: float(each.samples["t"][-1]))
     stream = RunStream(recording, "", aligned_span(longest.run, longest.samples))

@@ -1,4 +1,4 @@
-"""Data of a run for plots, reports and rerun: its touches, its window, its captions."""
+"""Data of a run that plots, report and rerun need: touches, time to draw, captions."""
 
 from __future__ import annotations
 
@@ -15,26 +15,32 @@ from capture_sim.run.run import Run
 from capture_sim.run.simulation import RunError, applied_again, simulate
 from capture_sim.scene.parts import Scene, as_name
 
-#: Width of the drawn time of a run of one sample, s.
+#: Shortest time that is drawn, s: a run may have one sample only.
 SHORTEST_WINDOW = 1e-3
 #: Number of samples in each touch and in a window.
 _PER_TOUCH, _PER_WINDOW = 40, 4000
 
 
 def verdict(run: Run) -> str:
-    """Return the label of the detector's last status, or ``no verdict``."""
+    """Return the label of the detector's last status, or ``no verdict`` if it has given none."""
     if not run.statuses:
         return "no verdict"
     return run.statuses[-1].label
 
 
 def start_word(scene: Scene) -> str:
-    """Return the word for t = 0: bodies in free flight are not released."""
+    """Return the word for t = 0 in texts: ``release``, or ``start`` if the scene has no string.
+
+    Without a string the bodies fly freely from the start, so nothing is released.
+    """
     return "release" if scene.string is not None else "start"
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:
-    """Number names that occur more than once, so that all differ."""
+    """Return the names with ``_1``, ``_2`` ... added to those that occur more than once.
+
+    All returned names differ, and none of the added ones is a name that was given.
+    """
     taken, distinct = set(names), []
     for name in names:
         number, numbered = 0, name
@@ -47,10 +53,11 @@ def distinct_names(names: Sequence[str]) -> list[str]:
 
 
 def every_touch(run: Run) -> np.ndarray:
-    """Return the touches (m,) of dtype TOUCH, including a touch in progress at the run's end.
+    """Return all touches (m,) of dtype TOUCH, including a touch in progress at the last sample.
 
-    Such a touch ends at the last sample.  Its peak was not located, so it is the peak of the
-    samples.
+    ``run.touches`` may lack such a touch, e.g. if the recording was truncated.  It is given the
+    last sample's time as its end.  Its peak was not located, so it is the largest force of the
+    samples in it.
     """
     touches, samples = run.touches, run.samples
     t_end = samples["t"][-1]
@@ -73,7 +80,10 @@ def every_touch(run: Run) -> np.ndarray:
 
 
 def strongest(run: Run) -> tuple[float, float]:
-    """Return time, s, and peak force, N, of the strongest touch; NaN and 0 if none is known."""
+    """Return the time, s since the release, and the force, N, of the highest peak of all touches.
+
+    They are NaN and 0.0 if no touch has a known peak force.
+    """
     touches = every_touch(run)
     touches = touches[np.isfinite(touches["peak_force"])]
     if not touches.size:
@@ -83,9 +93,12 @@ def strongest(run: Run) -> tuple[float, float]:
 
 
 def time_window(run: Run) -> tuple[float, float]:
-    """Return start and end of the time around contact and verdict, s.
+    """Return the start and end of the time that is drawn by default, s since the release.
 
-    A run without a verdict, e.g. one that ended early, is shown to its end.
+    It contains the touches, the latch's closing and the verdict, with a margin of 12 % (at least
+    12 ms) on either side, as far as there are samples.  If the detector has given statuses but no
+    verdict, e.g. because the run ended early, it extends to the last sample.  Of a run without a
+    touch, or without samples in this time, it is the time of all samples.
     """
     t = run.samples["t"]
     touch = first_touch(run.events)
@@ -107,10 +120,11 @@ def time_window(run: Run) -> tuple[float, float]:
 
 
 def normal_force_with_peaks(run: Run) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (n,), s, and normal force of both walls (n,), N, with every touch in it.
+    """Return times (n,), s since the release, and the sum of both walls' normal forces (n,), N.
 
-    Start, located peak and end of each touch are inserted between the samples, because most
-    touches are shorter than a sample period.  So is the trace if the run has one.
+    The start, located peak and end of each touch are inserted between the samples, because most
+    touches are shorter than a sample period.  If the run has a trace, i.e. the contact at the
+    integrator's own steps (``run.trace``), the trace is inserted too.
     """
     touches, samples = run.touches, run.samples
     trace = run.trace
@@ -125,15 +139,17 @@ def normal_force_with_peaks(run: Run) -> tuple[np.ndarray, np.ndarray]:
 
 
 def has_force(run: Run) -> bool:
-    """Return False if no contact force was measured, or no sensor of it is used."""
+    """Return True if at least one sample has a contact force, simulated or measured."""
     return bool(np.isfinite(run.samples["normal_force"]).any())
 
 
 def headline(run: Run, label: str | None = None, width: int = 95) -> str:
-    """Return a line with name, verdict and impact speed, then lines of changes and problems.
+    """Return a caption: a line with name, verdict and impact speed, then up to two further lines.
 
-    The name is the label, with the scene's name after it unless it contains that; without a label
-    the scene's.  Lines of more than ``width`` letters are wrapped or shortened.
+    The name is ``label``, followed by the scene's name in brackets unless the label begins with
+    that name or has it after a hyphen.  Without a label it is the scene's name.  The further lines
+    list the values that were changed in the scene, and the first problem of an incomplete run.
+    Lines of more than ``width`` letters are wrapped or shortened.
     """
     scene = run.drawn_scene.name
     name = scene if label is None else label
@@ -157,9 +173,10 @@ def headline(run: Run, label: str | None = None, width: int = 95) -> str:
 
 
 def in_contact(run: Run) -> np.ndarray:
-    """Return whether the tip touches at each sample or before the next, (n,) bool.
+    """Return for each sample whether the tip touches the cone then or before the next one.
 
-    So touches shorter than a sample period count.
+    The result is (n,) bool.  A touch that is shorter than a sample period thus counts as contact
+    at the sample before it.
     """
     t = run.samples["t"]
     touching: np.ndarray = run.samples["walls"] != 0
@@ -171,16 +188,23 @@ def in_contact(run: Run) -> np.ndarray:
 
 
 def decided_at(run: Run) -> float | None:
-    """Return the time of the verdict, s since the release; None without one."""
+    """Return the time of the first verdict, s since the release; None if there is no verdict."""
     return next((status.t for status in run.statuses if status.state.is_verdict), None)
 
 
 def resolved(run: Run, window: tuple[float, float] | None = None) -> Run:
-    """Return a run with samples in every touch: its scene is simulated again.
+    """Return a copy of a simulated run with additional samples in every touch.
 
-    With a window (start and end, s since the release) only that part is returned, with about 4000
-    further samples.  CaptureSimError if the window is empty, or if this version of the simulator
-    gives touches that differ from the run's.
+    The samples come from a new simulation of the run's scene; the touches, events and statuses
+    remain those of the run.  With a window (start and end, s since the release), the samples are
+    only those in the window, with 4000 further ones evenly spread over it.
+
+    Raises
+    ------
+    CaptureSimError
+        The window contains no time of the run, or the new simulation has other touches than the
+        run, e.g. because another version of the simulator has made the run, or the run's thrusters
+        were commanded by a controller, which is not available to repeat the run.
     """
     if run.is_exact and applied_again(run) is not None:
         raise CaptureSimError(
@@ -214,7 +238,10 @@ def resolved(run: Run, window: tuple[float, float] | None = None) -> Run:
 
 
 def resolved_or_not(run: Run) -> Run:
-    """Return the run resolved, or unchanged if it cannot be simulated again."""
+    """Return the run as :func:`resolved` does, or the run itself if that is not possible.
+
+    It is not possible for a measured run, and where :func:`resolved` raises CaptureSimError.
+    """
     if not run.is_exact:
         return run
     try:
@@ -224,7 +251,7 @@ def resolved_or_not(run: Run) -> Run:
 
 
 def _are_equal(touches_a: np.ndarray, touches_b: np.ndarray) -> bool:
-    """Return True if the touches of two runs are equal to 1 us."""
+    """Return True if two runs touch the same walls in the same order, with starts equal to 1 us."""
     return len(touches_a) == len(touches_b) and bool(
         np.array_equal(touches_a["wall"], touches_b["wall"])
         and np.allclose(touches_a["start"], touches_b["start"], rtol=0.0, atol=1e-6)

@@ -22,7 +22,12 @@ if TYPE_CHECKING:
 
 
 def draw_first_contact_design(design: FirstContactDesign) -> Figure:
-    """Return a figure of the paper's flow: the strokes run by run, the verdict by damper."""
+    """Return a figure of the paper's design flow.
+
+    The left panel has the relative error of both strokes in each run of the search for springs.
+    The right panel has the closest approach to BE over the damping, coloured by the verdict.  If no
+    damper meets a limit of the force, it has the peak force instead.
+    """
     figure, [[strokes, dampers]] = subplots(13.0, 5.6, 1, 2)
     _draw_strokes(strokes, design)
     _draw_dampers(dampers, design)
@@ -92,18 +97,21 @@ _BEFORE = 0.05  # share of the window that is shown before the first contact
 
 
 def draw_comparison(runs: Sequence[Side], labels: Sequence[str], window: float) -> Figure:
-    """Draw the measurements of two runs over each other, and the vehicles' paths.
+    """Draw the measurements of two runs in common axes; the first contact of each is at t = 0.
 
-    A touch lasts about a millisecond, so it is drawn as what was located: a stem up to its
-    peak, with a bar under it that is as wide as the touch and whose area is its impulse.  Only
-    where touches are not known the sampled force is drawn, with its samples.
+    The panels are the touches, the impulse so far (N s, newton seconds), stroke, torsion, and the
+    change of the distance in x between the vehicles since the first contact.
+
+    A touch is too short (less than 1 ms) for a curve.  It is drawn as a stem up to its peak, with a
+    bar that is as wide as the touch and whose area is its impulse.  If the touches of a run are not
+    known, the samples of its force are drawn instead.
 
     Parameters
     ----------
     runs, labels
-        Two; first contact at t = 0.
+        Two runs, and one name for each.
     window
-        s that are shown.
+        Drawn time after the first contact, s; 5 % of it is also drawn before the first contact.
     """
     figure, all_axes = subplots(9.0, 11.5, 5, 1, font=11.5, sharex=True)
     force, impulse, stroke, torsion, relative = all_axes.flat
@@ -161,7 +169,10 @@ def draw_comparison(runs: Sequence[Side], labels: Sequence[str], window: float) 
 
 
 def draw_touches(ax: Axes, touches: Touches, label: str, colour: str, mark: str) -> None:
-    """Draw each touch as a stem up to its peak, and a bar whose area is its impulse."""
+    """Draw each touch as a stem up to its peak (N), and as a bar whose area is its impulse (N s).
+
+    A touch of unknown duration has no bar.
+    """
     ax.vlines(touches.peak_time, 0.0, touches.peak, color=colour, linewidth=1.2)
     look: dict[str, Any] = {"color": colour, "fillstyle": "none", "linestyle": "none"}
     ax.plot(touches.peak_time, touches.peak, mark, label=label, **look)
@@ -187,7 +198,11 @@ def _draw_sampled_force(
 
 
 def impulse_so_far(touches: Touches, window: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return times and the impulse until then, N s; over a touch it grows evenly."""
+    """Return times (m,), s, ascending, and the impulse of all touches up to each time, (m,), N s.
+
+    Within a touch the impulse grows linearly.  If the impulse or the duration of a touch is unknown
+    (NaN), the impulses are NaN.
+    """
     start, lasted = touches.start, np.maximum(touches.lasted, 1e-9)
     t = np.sort(np.concatenate([[0.0, window], start, start + lasted]))
     share = np.clip((t[:, None] - start) / lasted, 0.0, 1.0)

@@ -1,8 +1,11 @@
-"""One look for everything that is drawn: colours, marks, units, sizes.
+"""Common style of plots, report and rerun: colours, markers, line styles and font sizes.
 
-Colours, most of them of Okabe and Ito (2008), differ for people with any common colour vision.
-Each means one thing in plots, report and rerun: a run keeps its colour and marker, a wall its
-triangle, a verdict its colour and marker.  The bench itself is drawn in greys.
+In all of them a run has the same colour and marker, a wall the same triangle, and a verdict the
+same colour and marker.  A colour may have another meaning in a plot that shows no runs, e.g. blue
+for a simulated curve.  Vehicles and walls are drawn in black and greys in plots.
+
+Most colours are those of Okabe and Ito (2008), which people with colour-vision deficiencies can
+tell apart.
 """
 
 from __future__ import annotations
@@ -35,22 +38,22 @@ PALE = "#E3EEF5"
 
 #: Colour of each run, in order; they repeat after that.
 RUNS = (BLUE, VERMILION, ROSE, CRIMSON, VIOLET, LIME, OLIVE, MAGENTA, LAVENDER, PLUM)
-#: Runs whose colours differ for people with any colour vision. Of more runs, each has a marker too.
+#: Number of runs whose colours differ for all kinds of colour vision; more runs have markers too.
 COLOURS_ALONE = 4
-#: Marker of each run; triangles up and down are the walls'.
+#: Marker of each run, in order; they repeat. The triangles up and down are those of the walls.
 RUN_MARKERS = ("o", "s", "D", "P", "X", "*", "p", "<", ">", "h")
-#: The tip touches the cone.
+#: Colour of the times at which the tip touches the cone.
 CONTACT = YELLOW
-#: The zone of capture, and what lies in it.
+#: Colour of the capture zone, and of the phase latched.
 ZONE = GREEN
-#: Walls by their side: marker and name.
+#: Marker and name of each wall, by its side: +1 or -1.
 WALLS = {1: ("^", "+y wall"), -1: ("v", "-y wall")}
 #: Marker and name of a measured touch whose wall is not known.
 NO_WALL = ("D", "wall not known")
 
 
 class Look(NamedTuple):
-    """Colour and marker of a verdict."""
+    """The colour and the marker of a verdict."""
 
     colour: str
     marker: str
@@ -63,7 +66,7 @@ VERDICTS = {
     "missed": Look("#6FA5C4", "X"),
     "undecided": Look(BLACK, "P"),
 }
-#: Of the lanes over time.
+#: Colours of the phases and of the detector's states in bars over time.
 PHASES = {
     "held": "#BFBFBF",
     "taut": "#8F7CB5",
@@ -78,24 +81,24 @@ STATES = {
     **{verdict: look.colour for verdict, look in VERDICTS.items()},
 }
 
-#: Of axes' labels, in points; chosen to be read when a figure is shown at half its size.
+#: Font size of the axes' labels, points; legible when a figure is shown at half its size.
 FONT = 14.0
-#: Of everything else.
+#: Font size of legends and annotations, points.
 SMALL = 12.5
 #: Pixels per inch of PNG files.
 DPI = 110
-#: Dashes of a line while the tip does not touch.
+#: Dashes, as in matplotlib, of a line while the tip does not touch the cone.
 FREE_LINE = (0, (4.0, 2.4))
 
 
 class Line(NamedTuple):
-    """Style of a curve: dashes of matplotlib, and a width relative to the width in contact."""
+    """A line style: dashes as in matplotlib, and a width relative to that in contact."""
 
     dashes: tuple[float, tuple[float, ...]] | str
     width: float
 
 
-#: While the tip is free, in contact, latched.
+#: Line styles while the tip is free, in contact, or latched.
 LINES = {
     "free": Line(FREE_LINE, 0.6),
     "in contact": Line("solid", 1.0),
@@ -104,21 +107,21 @@ LINES = {
 
 
 def run_colour(i: int) -> str:
-    """Return the colour of the i-th run."""
+    """Return the colour of run ``i``, counted from 0; colours repeat after the last of RUNS."""
     return RUNS[i % len(RUNS)]
 
 
 def run_marker(i: int) -> str:
-    """Return the marker of the i-th run."""
+    """Return the marker of run ``i``, counted from 0; markers repeat after the last one."""
     return RUN_MARKERS[i % len(RUN_MARKERS)]
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Return red, green and blue, 0 to 255, of ``#RRGGBB``."""
+    """Return red, green and blue, 0 to 255 each, of a colour written as ``#RRGGBB``."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
 def light(colour: tuple[int, int, int]) -> tuple[int, int, int]:
-    """Return a colour mixed with two parts of white."""
+    """Return a lighter colour: one part of the colour and two parts of white, 0 to 255 each."""
     red, green, blue = ((part + 2 * 255) // 3 for part in colour)
     return red, green, blue

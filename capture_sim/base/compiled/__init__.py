@@ -1,4 +1,4 @@
-"""Functions that Numba compiles, kept on disk by a hash of all their sources.
+"""Compilation of functions with Numba; results are kept on disk, named by a hash of the code.
 
 Takes: Python functions with a decorator of ``kernels.py``.
 Gives: The same functions, compiled at their first call.

@@ -1,4 +1,4 @@
-"""Compilation of kernels with Numba; loaded with the first kernel that is called.
+"""Compilation of kernels (functions that Numba compiles), imported when one is first called.
 
 With :mod:`capture_sim.base.compiled.numba_internals`, compiling needs 17 s instead of 60 s and a
 start 0.65 s instead of 1.45 s.  For a Numba with other internals, plain ``njit`` is used.
@@ -19,7 +19,10 @@ _FAST = {"contract", "nsz"}  # fused multiply and add; the sign of zero does not
 
 
 def _load_internals() -> Any:
-    """Return the module that sets Numba's internals; None, with a warning, if they differ."""
+    """Return the module that uses Numba's internals, if the installed Numba supports it.
+
+    Otherwise print a warning on stderr and return None.
+    """
     try:
         from capture_sim.base.compiled import numba_internals
 
@@ -40,14 +43,20 @@ internals = _load_internals()
 
 
 def inner(function: Callable[..., Any], *, inline: bool) -> Any:
-    """Compile a function that only other kernels call."""
+    """Return Numba's dispatcher of a function that only other kernels call.
+
+    With ``inline``, the function is compiled into each caller, if Numba's internals are supported.
+    """
     if internals is not None:
         return internals.inner(function, inline=inline)
     return numba.njit(error_model="numpy", fastmath=_FAST)(function)
 
 
 def entry(function: Callable[..., Any], folder: Path) -> Any:
-    """Compile a function that Python calls; keep the result in a folder."""
+    """Return Numba's dispatcher of a function that Python calls.
+
+    It compiles at the first call, and keeps the result in the folder for later processes.
+    """
     previous = numba.config.CACHE_DIR
     try:
         numba.config.CACHE_DIR = str(folder)

@@ -1,8 +1,9 @@
-"""Compilation of the numerical kernels.
+"""Decorators for kernels, the functions that Numba compiles.
 
-Numba's cache checks the file of the outermost function only, and would return stale code after a
-change in a callee.  Each entry kernel therefore has a folder that is named by a hash of its code,
-of all kernels that it calls, wherever they are, and of the constants that they read.
+An entry kernel is called from Python; any other kernel is called from kernels only.  Numba's own
+cache checks the file of the outermost function only, and would return stale code after a change in
+a function that it calls.  Each entry kernel therefore has a folder that is named by a hash of its
+code, of all kernels that it calls, in any module, and of the constants that they read.
 
 With ``NUMBA_DISABLE_JIT=1`` all kernels run as plain Python, slowly, for a debugger.
 """
@@ -35,7 +36,7 @@ _COMPILER = Path(__file__).resolve().parent
 
 @cache
 def compiler_hash() -> str:
-    """Return a hash of the compiler: Numba's version, modules in this folder, and their path."""
+    """Return a hash of Numba's version, of the modules in this folder, and of the folder's path."""
     # Numba finds compiled code by the path of its source, so each checkout has its own
     digest = hashlib.sha256(f"{version('numba')} {_COMPILER}".encode())
     for path in sorted(_COMPILER.glob("*.py")):
@@ -75,7 +76,10 @@ def _names_outside(function: Callable[..., Any]) -> dict[str, Any]:
 
 
 def _constant(value: Any) -> str:
-    """Return the value of an outside object for a kernel as text, without memory addresses."""
+    """Return a text for the hash of an object that a kernel reads, without memory addresses.
+
+    It has the values of an array, an enumeration or a number; of a function or module, the name.
+    """
     if isinstance(value, np.ndarray):
         return f"{value.dtype.descr} {value.shape} {value.tobytes().hex()}"
     if isinstance(value, type):
@@ -89,17 +93,18 @@ def _constant(value: Any) -> str:
 
 @cache
 def cache_folder() -> Path:
-    """Return the folder of all compiled kernels, and make it.
+    """Return the folder of all compiled kernels of this checkout and Numba; create it if missing.
 
-    It is in ``CAPTURE_SIM_CACHE``, ``XDG_CACHE_HOME`` or ``~/.cache``, or, if that is not writable,
-    in the system's folder for temporary files; a line on stderr reports it.  Compiled kernels are
-    pickles, and loading one may run any code: in the temporary folder, which all users share, the
-    folder must belong to this user alone.
+    It is in the folder ``CAPTURE_SIM_CACHE``, else ``XDG_CACHE_HOME``, else ``~/.cache``.  If it
+    cannot be written there, it is in the system's folder for temporary files, and a line on stderr
+    reports this.  Compiled kernels are pickles, and loading one may run any code.  All users share
+    the folder for temporary files, so only this user may be able to write to the kernels' folder.
 
     Raises
     ------
     CaptureSimError
-        The folder in the temporary folder belongs to another user, or others can write to it.
+        The path in the temporary folder is not a folder, belongs to another user, or others can
+        write to it.
     """
     root = os.environ.get("CAPTURE_SIM_CACHE") or os.environ.get("XDG_CACHE_HOME")
     base = Path(root) if root else Path.home() / ".cache"
@@ -130,10 +135,11 @@ def cache_folder() -> Path:
 
 
 class Kernel:
-    """A function that Numba compiles; Numba is loaded at the first call.
+    """A function that Numba compiles; Numba is imported at the first call.
 
-    ``entry`` is True for a function that Python calls, whose code is kept on disk; ``inline`` for
-    one that is compiled into each of its callers.  ``py_func`` is the Python function.
+    ``entry`` is True for a function that Python calls, whose compiled code is kept on disk.
+    ``inline`` is True for a function that is compiled into each of its callers.  The attribute
+    ``py_func`` is the Python function.
     """
 
     def __init__(
@@ -146,12 +152,12 @@ class Kernel:
 
     @property
     def folder(self) -> Path:
-        """Folder of the compiled function, if it is an entry."""
+        """Folder of the compiled code on disk; only an entry kernel writes to it."""
         return cache_folder() / code_hash(self)
 
     @cached_property
     def compiled(self) -> Any:
-        """Numba's dispatcher of the function."""
+        """Numba's dispatcher of the function, which compiles it at its first call."""
         from capture_sim.base.compiled import compiler  # half a second: Numba
 
         if self._entry:
@@ -164,35 +170,44 @@ class Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """Its type in other kernels (Numba's protocol for external objects)."""
+        """Type of this kernel in kernels that call it (Numba's protocol for external objects)."""
         from numba import types
 
         return types.Dispatcher(self.compiled)
 
 
 def kernel(function: F) -> F:
-    """Compile a function that is called from other kernels."""
+    """Make a kernel of a function that only other kernels call; a decorator."""
     return cast("F", Kernel(function))
 
 
 def inline_kernel(function: F) -> F:
-    """Compile a small function into each of its callers, to save the cost of the call."""
+    """Make a kernel that is compiled into each kernel that calls it, to save the cost of the call.
+
+    A decorator, for small functions.
+    """
     return cast("F", Kernel(function, inline=True))
 
 
 def entry_kernel(function: F) -> F:
-    """Compile a function that Python calls, and keep the result on disk."""
+    """Make a kernel of a function that Python calls; its compiled code is kept on disk.
+
+    A decorator; the function is compiled at its first call.
+    """
     return cast("F", Kernel(function, entry=True))
 
 
 def is_compiled(entry: Callable[..., Any]) -> bool:
-    """Return True if an entry kernel is compiled on this machine, as it is now."""
+    """Return True if compiled code of an entry kernel, as its code is now, is on disk."""
     return any(cast("Kernel", entry).folder.rglob("*.nbc"))
 
 
 @cache
 def plain(function: F) -> F:
-    """Return a kernel as a Python function that calls the Python functions of other kernels."""
+    """Return a kernel as plain Python; the kernels that it calls are plain Python in it too.
+
+    Any other function is returned unchanged.
+    """
     if not isinstance(function, Kernel):
         return function
     python = function.py_func
@@ -208,5 +223,9 @@ def plain(function: F) -> F:
 
 
 def records(array: np.ndarray) -> np.ndarray:
-    """Return an array of records for a kernel, compiled or (as a recarray) plain Python."""
+    """Return an array of records as kernels need it: a recarray with ``NUMBA_DISABLE_JIT=1``.
+
+    Otherwise the array itself is returned.  In plain Python, only a recarray has fields as
+    attributes.
+    """
     return array.view(np.recarray) if _PLAIN else array

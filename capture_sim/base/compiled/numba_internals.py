@@ -1,8 +1,7 @@
-"""Settings of Numba's internals: a third of the time to compile, half of the time to start.
+"""Changes of Numba's internals that save two thirds of compiling and half of the start.
 
-They are not part of Numba's interface; :mod:`capture_sim.base.compiled.compiler` decides
-whether the installed
-version supports them.
+The internals are not part of Numba's interface; :mod:`capture_sim.base.compiled.compiler` decides
+whether the installed version supports the changes.
 """
 
 from __future__ import annotations
@@ -159,7 +158,10 @@ _INNER = {
 
 
 def inner(function: Callable[..., Any], *, inline: bool) -> Any:
-    """Compile a function that only other kernels call."""
+    """Return Numba's dispatcher of a function that only other kernels call.
+
+    With ``inline``, the function is compiled into each caller.
+    """
     options = {"forceinline": True} if inline else {}
     return numba.njit(error_model="numpy", _nrt=False, fastmath=_FAST, **options, **_INNER)(
         function
@@ -167,7 +169,10 @@ def inner(function: Callable[..., Any], *, inline: bool) -> Any:
 
 
 def entry(function: Callable[..., Any]) -> Any:
-    """Compile a function that Python calls; the result goes to ``numba.config.CACHE_DIR``."""
+    """Return Numba's dispatcher of a function that Python calls.
+
+    It keeps the compiled code in ``numba.config.CACHE_DIR``, as set at the time of this call.
+    """
     dispatcher = numba.njit(
         error_model="numpy", _nrt=False, no_cfunc_wrapper=True, pipeline_class=_EntryCompiler
     )(function)
@@ -180,7 +185,10 @@ def _half(x: float) -> float:
 
 
 def compiles() -> bool:
-    """Return True if this Numba compiles a small kernel, and an entry that calls it."""
+    """Return True if a small test kernel, and an entry that calls it, give the right result.
+
+    An unsupported Numba may also raise any error.
+    """
     half = inner(_half, inline=False)
 
     def root_of_half(x: float) -> float:

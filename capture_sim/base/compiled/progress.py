@@ -12,7 +12,10 @@ from numba.core import event
 
 @contextmanager
 def watch_compilation(report: Callable[[int, int], None]) -> Iterator[None]:
-    """Call ``report`` with the numbers of compiled and of all kernels while in the context."""
+    """Call ``report(n_compiled, n_all)`` while in the context, as kernels are compiled.
+
+    ``n_all`` counts the kernels of all modules of capture_sim that are loaded at the start.
+    """
     with event.install_listener("numba:compile", _CompilationCounter(report)):
         yield
 
@@ -31,7 +34,7 @@ class _CompilationCounter(event.Listener):
         )
 
     def on_start(self, event: Any) -> None:
-        """Report the count at the start of a kernel."""
+        """Report the present count when a compilation starts."""
         self._report(len(self._done), self._all)
 
     def on_end(self, event: Any) -> None:

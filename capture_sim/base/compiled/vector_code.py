@@ -1,4 +1,4 @@
-"""LLVM's code of kernels in vector registers; loaded with the first kernel that is compiled."""
+"""Generation of LLVM code that uses vector registers; imported when it is first compiled."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DOUBLE, _INDEX, _LANE = ir.DoubleType(), ir.IntType(64), ir.IntType(32)
 
 
 class NumberArray(NamedTuple):
-    """An array of float64 or int64."""
+    """An array of float64 or int64 in generated code; both fields are values of LLVM."""
 
     data: Any  # pointer to its first number
     row_bytes: Any  # from one row to the next
@@ -75,10 +75,10 @@ class VectorCode:
         return self.builder.fmul(a, b, flags=_FLAGS)
 
     def multiply_add(self, a: Any, b: Any, c: Any, width: int) -> Any:
-        """Return a b + c, rounded once where the processor can.
+        """Return a b + c as one operation, rounded once if the processor can.
 
-        As one operation: of a sum of two products the compiler would choose which to fuse, here
-        otherwise than in an FMU.
+        With separate operations, the compiler would choose which product of a sum to fuse with the
+        addition, and its choice for an exported FMU would differ.
         """
         kind, name = self.type_of(width), "llvm.fmuladd.f64"
         if width > 1:
@@ -96,7 +96,7 @@ class VectorCode:
         return self.builder.fdiv(a, b, flags=_FLAGS)
 
     def root(self, a: Any, width: int) -> Any:
-        """Return the square root of a vector."""
+        """Return the square root of each number of ``a``."""
         kind = self.type_of(width)
         name = "llvm.sqrt.f64" if width == 1 else f"llvm.sqrt.v{width}f64"
         declare = cgutils.get_or_insert_function
@@ -122,9 +122,10 @@ class VectorCode:
         weights: Sequence[NumberArray],
         n: int,
     ) -> list[list[Any]]:
-        """Return, for each array of weights, its sum of the rows at ``places``, in blocks.
+        """Return, for each array of weights, the sum over j of ``weight[j] * rows[places[j]]``.
 
-        ``count`` rows of ``n`` numbers; every row is read once.
+        The sum has ``count`` terms; it is 0 if ``count`` is not positive.  A row has ``n`` numbers,
+        and each sum is a list of the vectors of :meth:`blocks`.  Every row is read only once.
         """
         builder, blocks = self.builder, self.blocks(n)
         rows_p = builder.bitcast(rows.data, ir.IntType(8).as_pointer())
@@ -163,7 +164,7 @@ class VectorCode:
         return final
 
     def sum_of_squares(self, values: Sequence[Any], n: int) -> Any:
-        """Return the sum of the squares of ``n`` numbers in blocks."""
+        """Return the sum of the squares of ``n`` numbers in vectors as of :meth:`blocks`."""
         squares: dict[int, Any] = {}  # by width
         for (_, width), value in zip(self.blocks(n), values, strict=True):
             before = squares.get(width, self.constant(0.0, width))
@@ -173,11 +174,12 @@ class VectorCode:
 
 
 def function_type(generate: Callable[..., Any], results: int) -> Any:
-    """Return Numba's type of a function whose code ``generate`` writes.
+    """Return Numba's type of a function whose LLVM code ``generate`` writes.
 
-    ``generate`` takes a :class:`VectorCode` and the arguments: arrays as :class:`NumberArray`,
-    numbers as LLVM's values, integers known when compiling as they are, None as None.  It returns a
-    sequence of ``results`` numbers, None if these are 0.
+    ``generate`` receives a :class:`VectorCode` and the arguments of the function: an array as
+    :class:`NumberArray`, a number as value of LLVM, an integer that is known when compiling as
+    Python integer, and None as None.  It returns a sequence of ``results`` numbers (values of
+    LLVM), or None if ``results`` is 0.
     """
 
     def definition(typingctx: Any, *kinds: Any) -> Any:

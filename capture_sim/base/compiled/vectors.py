@@ -1,9 +1,9 @@
-"""Kernels in vector registers: what Numba's compiler does not make of scalar code by itself.
+"""Kernels with hand-written vector code, where Numba's compiler makes none from scalar code.
 
-A scalar kernel says what is computed; the code for vectors is written when it is compiled.  Without
-it, runs take 1.6 times as long for the sums of stages (1.1 times with sums that are unrolled by
-hand), 1.08 times for the error of a step, and 1.1 times for the balls' resistance.  Vector code for
-anything else has brought less than 3 %.
+A scalar kernel defines the result; a second function writes LLVM code for vector registers that
+computes the same.  Without it, runs take 1.6 times as long for the sums of stages (1.1 times with
+sums that are unrolled by hand), 1.08 times for the error of a step, and 1.1 times for the balls'
+resistance.  Vector code for anything else has brought less than 3 %.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from capture_sim.base.compiled.kernels import Kernel
 
 
 class VectorKernel:
-    """A function that is compiled into its callers with vector code.
+    """A function that is compiled into the kernels that call it, with vector code.
 
-    ``scalar`` is a kernel that does the same; it is used if Numba's internals are unknown.
-    ``generate`` writes the code.
+    ``generate`` writes the code, see :func:`capture_sim.base.compiled.vector_code.function_type`;
+    the function returns ``results`` numbers.  ``scalar`` is a kernel that computes the same; it is
+    used if the installed Numba's internals are not supported.
     """
 
     def __init__(self, scalar: Kernel, generate: Callable[..., Any], results: int) -> None:
@@ -28,7 +29,7 @@ class VectorKernel:
 
     @cached_property
     def _numba_type_(self) -> Any:
-        """Its type in kernels (Numba's protocol for external objects)."""
+        """Type of this function in kernels (Numba's protocol for external objects)."""
         from capture_sim.base.compiled import compiler  # half a second: Numba
 
         if compiler.internals is None:
@@ -38,10 +39,13 @@ class VectorKernel:
         return vector_code.function_type(self.generate, self._results)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Call the scalar kernel, where Numba is switched off."""
+        """Call the scalar kernel; for plain Python, with ``NUMBA_DISABLE_JIT=1``."""
         return self.scalar(*arguments)
 
 
 def vectorized(scalar: Any, results: int = 0) -> Callable[[Callable[..., Any]], Any]:
-    """Let a function that writes vector code stand for a scalar kernel; see ``function_type``."""
+    """Return a decorator that makes a VectorKernel of the function that writes its vector code.
+
+    ``scalar`` is the kernel that computes the same, ``results`` how many numbers it returns.
+    """
     return lambda generate: VectorKernel(scalar, generate, results)

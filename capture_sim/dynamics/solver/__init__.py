@@ -1,1 +1,1 @@
-"""Integrators and root finding; knows nothing of vehicles."""
+"""Runge-Kutta steps and root finding for any right-hand side; nothing here knows of vehicles."""

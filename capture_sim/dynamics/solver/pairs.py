@@ -1,13 +1,13 @@
 """Explicit Runge-Kutta pairs with dense output, each as its coefficients.
 
-A pair is data; :mod:`capture_sim.dynamics.solver.runge_kutta` steps any of them.
+A pair is data: :mod:`capture_sim.dynamics.solver.runge_kutta` takes steps with any of them.
 
-Dense output has the nested form of Hairer, Norsett and Wanner (Solving Ordinary
-Differential Equations I, 2nd ed. 1993, II.6),
+Dense output gives y inside a step of length h, at its fraction x (0..1).  It has the nested form
+of Hairer, Norsett and Wanner (Solving Ordinary Differential Equations I, 2nd ed. 1993, II.6),
 
     y(x) = y_0 + x (F_0 + (1 - x) (F_1 + x (F_2 + (1 - x) (F_3 + ...)))),   F = h G K
 
-so that a pair is complete with one more matrix ``G``.
+where row i of K is dy/dt at stage i.  A pair therefore needs one matrix ``G`` for its dense output.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MAX_STAGES, MAX_ROWS = 16, 7
 
 
 class Pair(NamedTuple):
-    """Coefficients of an explicit pair with ``s`` stages and ``e`` extra ones for dense output."""
+    """Coefficients of an explicit pair with ``s`` stages, and ``e`` more for its dense output."""
 
     A: np.ndarray  # (s + 1 + e, s + 1 + e) stage weights; row s: the step (first same as last)
     C: np.ndarray  # (s + 1 + e,) stage times
@@ -36,7 +36,7 @@ class Pair(NamedTuple):
 
 
 def _matrix(rows: Iterable[Mapping[int, float]], columns: int) -> np.ndarray:
-    """Return a matrix from the entries of its rows by column."""
+    """Return a matrix of ``columns`` columns from its rows, each a mapping of column to entry."""
     rows = tuple(rows)
     matrix = np.zeros((len(rows), columns))
     for i, row in enumerate(rows):
@@ -45,7 +45,12 @@ def _matrix(rows: Iterable[Mapping[int, float]], columns: int) -> np.ndarray:
 
 
 def _dense(step: np.ndarray, stages: int, rest: np.ndarray) -> np.ndarray:
-    """Return G from the step's weights and the pair's own rows beyond the first three."""
+    """Return the matrix G of a pair's dense output.
+
+    Its first three rows make y and dy/dt right at both ends of a step, and follow from the weights
+    of the step, ``step`` (of ``stages`` stages).  ``rest`` are the rows after these, which each
+    pair has of its own; its width is the number of all stages.
+    """
     total = rest.shape[1]
     first, last, delta = np.zeros((3, total))
     first[0] = 1.0
@@ -56,7 +61,10 @@ def _dense(step: np.ndarray, stages: int, rest: np.ndarray) -> np.ndarray:
 
 @cache
 def dormand_prince_5() -> Pair:
-    """Return the 5(4) pair of Dormand and Prince (1980), dense order 4 (Hairer's DOPRI5)."""
+    """Return the 5(4) pair of Dormand and Prince (1980), Hairer's DOPRI5.
+
+    Its dense output has order 4.
+    """
     s = 6
     A = _matrix(_DOPRI5_A, s + 1)
     return Pair(
@@ -73,7 +81,10 @@ def dormand_prince_5() -> Pair:
 
 @cache
 def dormand_prince_853() -> Pair:
-    """Return the 8(5,3) pair of Dormand and Prince, dense order 7 (Hairer's DOP853)."""
+    """Return the 8(5,3) pair of Dormand and Prince, Hairer's DOP853.
+
+    Its dense output has order 7.
+    """
     s, total = 12, 16
     A = _matrix(_DOP853_A, total)
     return Pair(
@@ -90,9 +101,10 @@ def dormand_prince_853() -> Pair:
 
 @cache
 def runge_kutta_4() -> Pair:
-    """Return the classical Runge-Kutta method (Kutta 1901), without error estimate.
+    """Return the classical Runge-Kutta method (Kutta 1901).
 
-    For fixed steps; dense output is the cubic Hermite polynomial, of order 3.
+    It has no error estimate, so it is for steps of fixed length.  Its dense output is the cubic
+    Hermite polynomial, of order 3.
     """
     A = np.zeros((5, 5))
     A[1, 0] = A[2, 1] = 0.5

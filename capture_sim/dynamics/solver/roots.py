@@ -1,4 +1,8 @@
-"""Where functions of time pass zero: cubics through values and slopes, and secants."""
+"""Search for the zeros of a function of time, from values and slopes at the ends of an interval.
+
+The kernels ask whether a function may fall below zero in an interval, and give the places at which
+to evaluate it next.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +13,11 @@ from capture_sim.base.compiled.kernels import kernel
 
 @kernel
 def cubic_minimum(g_a, d_a, g_b, d_b):
-    """Return fraction (0..1) and value of the interior minimum of the Hermite cubic.
+    """Return place and value of the minimum of a cubic between the ends of an interval.
 
-    ``g`` are values and ``d`` slopes per interval at both ends.  Without an interior minimum, the
-    fraction is -1 and the value that of the lower end.
+    The cubic has the values ``g_a`` and ``g_b`` at the two ends, and there the slopes ``d_a`` and
+    ``d_b``, in change per whole interval (Hermite).  The place is a fraction of the interval,
+    0 < x < 1.  Without a minimum between the ends, it is -1 and the value is that of the lower end.
     """
     c2 = 3.0 * (g_b - g_a) - 2.0 * d_a - d_b
     c3 = d_a + d_b - 2.0 * (g_b - g_a)
@@ -32,9 +37,11 @@ def cubic_minimum(g_a, d_a, g_b, d_b):
 
 @kernel
 def may_cross(g_a, d_a, g_b, d_b, margin):
-    """Return True if a function that starts at or above zero may fall below within the interval.
+    """Return True if a function that starts at or above zero may fall below it in an interval.
 
-    The error of the cubic through both ends is at most ``margin`` times its changes.
+    ``g_a``, ``g_b`` are the values at the ends, ``d_a``, ``d_b`` the slopes there, in change per
+    whole interval.  It is judged by the cubic that these give, whose error is taken as at most
+    ``margin`` * (|d_a| + |d_b| + |g_b - g_a|).
     """
     if g_b < 0.0:
         return True
@@ -56,12 +63,14 @@ _ITP_SHIFT = 0.2
 
 @kernel
 def itp_trial(x_a, g_a, x_b, g_b, radius):
-    """Return the next trial in a bracket: g_a > 0 at x_a, g_b <= 0 at x_b > x_a.
+    """Return where to evaluate a function next whose zero lies in a bracket.
 
-    Interpolate, truncate, project (Oliveira and Takahashi 2020, with kappa_2 = 2 and n_0 = 1):
-    the secant's zero, moved towards the middle, and kept so near to it that no more trials are
-    needed than by bisection, and one.  ``radius`` is half the first bracket, halved with each
-    trial.
+    The function is ``g_a`` > 0 at ``x_a`` and ``g_b`` <= 0 at ``x_b`` > ``x_a``.  The method is ITP
+    (interpolate, truncate, project; Oliveira and Takahashi 2020, with kappa_2 = 2 and n_0 = 1): the
+    zero of the secant, moved towards the middle of the bracket, and kept so near to the middle that
+    the search needs at most one trial more than bisection.  For that, the caller passes as
+    ``radius`` half the width of the first bracket, halved with each trial since.  Where ``g_a`` is
+    not above zero or a value is not finite, the middle is returned.
     """
     middle, width = 0.5 * (x_a + x_b), x_b - x_a
     if not (g_a > 0.0 and math.isfinite(g_a - g_b)):

@@ -1,8 +1,10 @@
-"""Weighted sums of rows in vector registers.
+"""Weighted sums of rows, computed in the processor's vector registers.
 
 Between its evaluations, a Runge-Kutta step computes ``out = base + h (w_0 K_0 + w_1 K_1 + ...)``.
-Compiled from a loop, this passes over ``out`` once for every few rows.  Here all partial sums stay
-in registers, and every row whose weight is not zero is read once.
+Compiled from a loop, this passes over ``out`` once for every few rows.  The functions of this file
+keep all partial sums in registers and read every row whose weight is not zero once.  Each is
+written twice: as a plain kernel, which says what is computed, and as code for vector registers
+(:mod:`capture_sim.base.compiled.vectors`).
 """
 
 from __future__ import annotations
@@ -17,8 +19,8 @@ from capture_sim.base.compiled.vectors import vectorized
 def _add_rows(out, base, rows, places, weights, count, h, n):
     """Write base[:n] + h * sum(weights[j] * rows[places[j], :n] for j < count) into out[:n].
 
-    ``n`` is known when compiling, ``count`` is not; arrays float64, ``places`` int64, rows
-    contiguous.  ``base`` None is zero.
+    Arrays are float64 with contiguous rows, but ``places`` is int64.  ``base`` may be None, for
+    zeros.  ``n`` must be known when the caller is compiled; ``count`` need not.
     """
     for i in range(n):
         total = 0.0
@@ -31,7 +33,10 @@ def _add_rows(out, base, rows, places, weights, count, h, n):
 def add_rows(
     code: Any, out: Any, base: Any, rows: Any, places: Any, weights: Any, count: Any, h: Any, n: int
 ) -> None:
-    """Do the same as :func:`_add_rows`, in vector registers."""
+    """Write the machine code of :func:`_add_rows` for vector registers.
+
+    ``code`` writes it; the other arguments stand for those of the kernel.
+    """
     (sums,) = code.sums(rows, places, count, [weights], n)
     for (start, width), total in zip(code.blocks(n), sums, strict=True):
         lengths = code.broadcast(h, width)
@@ -44,9 +49,10 @@ def add_rows(
 
 @kernel
 def _squares_of_sums(scale, rows, places, first, second, count, h, n):
-    """Return the squared lengths of two sums of rows, each entry i < n times ``scale[i]``.
+    """Return the squared lengths of two scaled sums of rows.
 
-    The sums are h * sum(first[j] * rows[places[j], :n] for j < count), and with ``second``.
+    The first sum is h * scale * sum(first[j] * rows[places[j], :n] for j < count), with entries
+    i < n; the other one has the weights ``second``.
     """
     a = 0.0
     b = 0.0
@@ -75,7 +81,11 @@ def squares_of_sums(
     h: Any,
     n: int,
 ) -> list[Any]:
-    """Do the same as :func:`_squares_of_sums`, in vector registers."""
+    """Write the machine code of :func:`_squares_of_sums` for vector registers.
+
+    ``code`` writes it; the other arguments stand for those of the kernel.  The result is the two
+    values that the code computes.
+    """
     lengths = []
     for sums in code.sums(rows, places, count, [first, second], n):
         scaled = []

@@ -1,8 +1,9 @@
 """One step of an explicit Runge-Kutta pair: stages, error and dense output.
 
-Works on any compiled right-hand side ``rhs(t, y, f, system)`` that writes dy/dt into ``f``;
-``system`` is its record of parameters.  ``y`` has the states first, then integrals that the
-right-hand side does not read; the states and some of the integrals are under error control.
+It works on any compiled right-hand side ``rhs(t, y, f, system)`` that writes dy/dt into ``f``;
+``system`` is the record of its parameters.  ``y`` begins with the states, and after them come
+integrals that the right-hand side does not read.  The error control watches the states and the
+first of the integrals.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from capture_sim.dynamics.solver.rows import add_rows, squares_of_sums
 
 
 def stepper_type(total: int, watched: int) -> np.dtype:
-    """Return the dtype of a stepper's memory: a pair's coefficients and the data of a step.
+    """Return the dtype of a stepper's memory: the coefficients of a pair and the data of a step.
 
-    ``total`` is the length of the state with its integrals, ``watched`` the number of its first
-    entries under error control.
+    ``total`` is the length of y, states and integrals; the error control watches its first
+    ``watched`` entries.
     """
     square, room = (MAX_STAGES, MAX_STAGES), (MAX_STAGES,)
     return np.dtype(
@@ -73,7 +74,10 @@ def set_pair(memory: Any, pair: Pair) -> None:
 
 @inline_kernel
 def dense(step, x, y_inside, n):
-    """Write the first ``n`` entries of y inside a step, at its fraction ``x`` (0..1)."""
+    """Write the first ``n`` entries of y at the fraction ``x`` (0..1) of a step into ``y_inside``.
+
+    ``step`` is the memory of a step for which ``prepare_dense`` has been called.
+    """
     y, F, rows = step.y, step.F, step.rows
     for i in range(n):
         y_inside[i] = 0.0
@@ -88,7 +92,7 @@ def dense(step, x, y_inside, n):
 
 @inline_kernel
 def dense_entry(step, x, i):
-    """Return entry ``i`` of y inside a step, as :func:`dense` does."""
+    """Return entry ``i`` of y at the fraction ``x`` (0..1) of a step, as :func:`dense` gives it."""
     F, rows = step.F, step.rows
     total = 0.0
     for k in range(rows):
@@ -98,24 +102,25 @@ def dense_entry(step, x, i):
 
 
 class Stepper(NamedTuple):
-    """The compiled steps of one right-hand side."""
+    """The compiled functions that take steps with one right-hand side: see make_stepper."""
 
     try_step: Callable[..., Any]
     prepare_dense: Callable[..., Any]
 
 
 def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int) -> Stepper:
-    """Compile the steps for a compiled right-hand side ``rhs(t, y, f, system)``.
+    """Return the functions that take steps with a compiled right-hand side.
 
-    ``states``, ``total`` and ``watched`` are the lengths of the states, of ``y`` and of its entries
-    under error control.  They are bound here, not passed at run time: Numba's cache on disk does
-    not accept functions as arguments, and sums of known length stay in registers
+    ``rhs(t, y, f, system)`` writes dy/dt into ``f``.  ``states`` is the number of states, ``total``
+    the length of y, and the error control watches the first ``watched`` entries of y.  All four are
+    part of the compiled code and not passed at run time: Numba's cache on disk does not accept
+    functions as arguments, and sums of known length stay in registers
     (:mod:`capture_sim.dynamics.solver.rows`).
     """
 
     @kernel
     def stage(system, step, s, t, h):
-        """Evaluate stage ``s`` from the stages before it into K[s]."""
+        """Write dy/dt at stage ``s`` into K[s], from those of the stages before it."""
         add_rows(
             step.y_stage, step.y, step.K, step.A_stages[s], step.A[s], step.A_count[s], h, states
         )
@@ -123,10 +128,11 @@ def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int)
 
     @kernel
     def try_step(system, step, t, h):
-        """Take a step of length ``h`` from (t, step.y) with K[0] known.
+        """Try a step of length ``h`` from (t, step.y); return its error over what is permitted.
 
-        Writes the result into ``y_new`` and its derivative into K[stages]; returns the
-        weighted error, 1 being just good enough.
+        K[0] must contain dy/dt at the start.  The result is written into ``y_new``, and dy/dt
+        there into K[stages].  A step is good enough if the returned value is at most 1; the
+        value is 0 for a pair without error estimate.
         """
         K, stages = step.K, step.stages
         for s in range(1, stages):
@@ -143,7 +149,7 @@ def make_stepper(rhs: Callable[..., Any], states: int, total: int, watched: int)
 
     @kernel
     def prepare_dense(system, step, t, h):
-        """Fill ``F`` so that :func:`dense` can be called in this step."""
+        """Compute the coefficients ``F`` of the dense output of the step that was just tried."""
         for s in range(step.stages + 1, step.total_stages):
             stage(system, step, s, t, h)
         for r in range(step.rows):

@@ -1,6 +1,6 @@
-"""How nodes agree on a run: who takes part, who is ready, when it ends, who has all of it.
+"""How nodes agree on a run: which nodes take part, when all are ready, and when all have ended it.
 
-Takes: Announcements and the participants' lines of the roll.
+Takes: Announcements of runs, and each participant's messages on bench/roll.
 Gives: A run that begins when all are ready and ends when all are done.
 Must not know: What a node does with a run.
 Begin with: ``roll.py``.

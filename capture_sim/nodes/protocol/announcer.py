@@ -1,4 +1,4 @@
-"""How a node announces runs: who joins one, who has left it; waiting for nodes before and after."""
+"""How a node announces a run and waits for the other nodes to join it and to leave it."""
 
 from __future__ import annotations
 
@@ -24,37 +24,44 @@ from capture_sim.nodes.base.endpoints import DISCOVERY_TIME, full_name
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.protocol.roll import Roll, RollPart, RunReport, has_streams, node_of, run_key
 
-#: After a run the participants get this long to close their files, s (wall).
+#: After a run the announcer waits this long for the participants to close their files, s (wall).
 END_TIMEOUT = 60.0
-#: A node that has heard no other this long after its start, s (wall), is alone: on a busy machine
-#: discovery needs more than :data:`DISCOVERY_TIME`, and beside a trial nothing may be published.
+#: A node that has heard no other node this long after its start, s (wall), assumes that there is
+#: none.  The time is longer than :data:`DISCOVERY_TIME`, because discovery is slower on a busy
+#: machine, and a node that overlooked a trial of a real bench would publish on its topics.
 ALONE_TIME = 1.0
-#: A node that has the name of a role and is not on the roll, which a node joins last, may still be
-#: starting for this long after its subscriptions were found, s (wall): on a busy machine a detector
-#: was, and its run began without it.
+#: A node that bears the name of a role, but is not on bench/roll, may still be starting for this
+#: long after its subscriptions were found, s (wall), because a node joins the roll last.  Without
+#: this wait a run could begin without, for example, a detector that starts on a busy machine.
 STARTING_TIME = 5.0
-#: What is waited for is logged after this long, then at growing intervals, s (wall).
+#: The names of the nodes that a wait is for are logged after this time, then at growing intervals,
+#: s (wall).
 _REPORT_PERIOD = 2.0
 
 
 class TrialOnError(CaptureSimError):
-    """A trial of a real bench is on: nothing else may publish."""
+    """Error of a node that may not publish, because a trial of a real bench is running."""
 
 
 class Participants:
-    """Who takes part in a run, besides the node that announces it: roles, and ids, see Roll."""
+    """The nodes that take part in a run, without the node that announces it.
+
+    ``participants`` are their ids on bench/roll (:attr:`RollPart.id`), ``roles`` their roles, each
+    once; both are sorted.
+    """
 
     def __init__(self, parts: Sequence[RollPart]) -> None:
         self.participants = tuple(sorted(part.id for part in parts))
         self.roles = tuple(sorted({part.role for part in parts}))
-        #: Roles that have streams of their own: their counts end the run too.
+        #: Roles that publish streams; these nodes, too, report how many messages they have sent.
         self.publishers = tuple(sorted({part.role for part in parts if has_streams(part.role)}))
 
 
 class Announcement:
-    """A run that is announced: by whom of its participants it is joined, and left.
+    """A run that this object announces when created; it tells which participants join and leave it.
 
-    ``data``: its RunInfo, serialised, where there is one already.
+    ``data``: the serialised RunInfo to publish; None to make the RunInfo from ``run``.  ``key``
+    identifies the run on bench/roll, see :func:`run_key`.
     """
 
     def __init__(
@@ -66,20 +73,29 @@ class Announcement:
         self._send(run) if data is None else node.send(RUN_INFO, data)
 
     def not_joined(self) -> str:
-        """Return which participants have yet to join the run; empty if all have."""
+        """Return a log text that names the participants that have yet to join; empty if none.
+
+        Nodes that have left the network, or whose readers were dropped, are not named.
+        """
         return self._pending("to join the run", lambda part: part.is_ready(self.key))
 
     def not_left(self) -> str:
-        """Return which participants have yet to leave the run."""
+        """Return a log text that names the participants that have yet to leave; empty if none.
+
+        Nodes that have left the network, or whose readers were dropped, are not named.
+        """
         return self._pending("to end the run", lambda part: part.is_done(self.key))
 
     def parts(self) -> list[RollPart]:
-        """Return the participants that have been heard."""
+        """Return the last report on bench/roll of each participant that has sent one."""
         ids = self.run.participants
         return [self._roll.parts[id_] for id_ in ids if id_ in self._roll.parts]
 
     def present(self) -> list[RollPart]:
-        """Return the participants that are there and have not left the run."""
+        """Return the reports of the participants that have left neither the network nor the run.
+
+        A participant that has sent no report on bench/roll is not included.
+        """
         return [
             part
             for part in self.parts()
@@ -87,7 +103,10 @@ class Announcement:
         ]
 
     def gone(self) -> list[str]:
-        """Return the nodes that have joined the run, and were gone before they reported its end."""
+        """Return the full names of the nodes that joined the run but vanished before leaving it.
+
+        Such a node has left the network without a report of the run's end.
+        """
         return [
             part.node
             for part in self.parts()
@@ -101,7 +120,10 @@ class Announcement:
         return [part.report for part in self.parts() if part.is_done(self.key)]
 
     def close(self) -> None:
-        """Announce that no run is on; its description stays for later subscribers."""
+        """Publish the run's RunInfo with an empty run_id: no run is on any more.
+
+        Later subscribers receive this message, with the rest of the description of the run.
+        """
         self._send(replace(self.run, run_id=""))
 
     def _pending(self, for_what: str, has: Callable[[RollPart], bool]) -> str:
@@ -118,9 +140,11 @@ class Announcer:
     """Announces the runs of a simulator or player one after another, and waits for nodes.
 
     ``wait_for`` lists the roles, names or full names of the nodes that must be present before a
-    run.  A name that is listed twice stands for two nodes.  A node that is not on the roll counts
-    as present when its subscriptions are matched.  ``check`` is called while the announcer waits,
-    and raises to stop the wait.
+    run.  A name that is listed twice stands for two nodes.  A node that does not report on
+    bench/roll, such as a user's node, counts as present when its subscriptions are matched; of such
+    nodes one is enough, even if the name is listed twice.  ``source`` is the source of the runs.
+    ``check`` is called during each wait, except that of :meth:`await_done`, and raises an error to
+    stop it.
     """
 
     def __init__(
@@ -142,24 +166,33 @@ class Announcer:
         self._changed = 0.0  # s (wall), when they did last
 
     def await_nodes(self, name: str, limit: float) -> None:
-        """Wait until all awaited nodes are present; CaptureSimError after ``limit`` s (wall).
+        """Wait until all nodes of ``wait_for`` are present.
 
-        Without awaited nodes, wait for the time in which present nodes are usually discovered.
+        CaptureSimError if a node is missing after ``limit`` s (wall).  If ``wait_for`` is empty,
+        wait until another node is heard, or until :data:`ALONE_TIME` after this node's start.
+        TrialOnError if a trial of a real bench is running.  ``name``:
+        name of the run in the log.
         """
         self._await_discovery()
         self._check_trials()
         self.await_none(name, self._missing, limit)
 
     def participants(self, chosen: Callable[[RollPart], bool] = lambda part: True) -> Participants:
-        """Return who is there to take part; CaptureSimError during a trial of a real bench."""
+        """Return the nodes that can take part in the next run.
+
+        These are the nodes that are present, in no run, and take part in runs of this source, if
+        ``chosen`` returns True for them.  TrialOnError during a trial of a real bench, now or
+        later until :meth:`close`, see :meth:`check_part`.
+        """
         self._check_trials()
         self._is_on = True
         return Participants([part for part in self._roll.free(self._source) if chosen(part)])
 
     def announce(self, run: RunDescription, data: bytes) -> None:
-        """Announce a run and wait until all participants are ready.
+        """Announce a run and wait until all participants have joined it.
 
-        CaptureSimError if one that the run has to wait for does not join it.
+        ``data``: the run's RunInfo, serialised.  A participant that has not joined within
+        ``reader_timeout`` is only logged.  If it is one of ``wait_for``, CaptureSimError is raised.
         """
         self._is_on = True
         self._announcement = on = Announcement(self._node, self._roll, run, data)
@@ -173,20 +206,27 @@ class Announcer:
                 raise CaptureSimError(f"{name} has not joined the run")
 
     def await_read(self) -> None:
-        """Wait until all readers have received every message, and name a reader that stalls."""
+        """Wait until all readers have received every message, at most ``reader_timeout`` s (wall).
+
+        After that, log the readers of one unread topic as dropped, unless a reader was dropped
+        before or this node was asked to end.
+        """
         topic_publishers = self._node.topic_publishers
         unread = topic_publishers.drain(topic_publishers.reader_timeout)
         if unread and not topic_publishers.dropped and not self._node.end_request.is_set():
             topic_publishers.report_stalled(unread[0])
 
     def await_done(self) -> None:
-        """Wait until all participants have left the run; CaptureSimError after the limit."""
+        """Wait until all participants have left the last run that was announced, if any.
+
+        CaptureSimError after :data:`END_TIMEOUT`.
+        """
         if (on := self._announcement) is not None:
             # a run that is cut ends in order all the same: nothing is checked
             self.await_none(on.run.name, on.not_left, END_TIMEOUT, check=lambda: None)
 
     def close(self) -> None:
-        """Announce that no run is on; its description stays for later subscribers."""
+        """Announce that no run is on, see :meth:`Announcement.close`."""
         self._is_on = False
         if self._announcement is not None:
             self._announcement.close()
@@ -198,9 +238,10 @@ class Announcer:
         limit: float,
         check: Callable[[], None] | None = None,
     ) -> None:
-        """Wait until ``pending`` returns nothing; log its result at growing intervals.
+        """Wait until ``pending`` returns an empty text; log its text at growing intervals.
 
-        CaptureSimError after ``limit`` s (wall).
+        CaptureSimError after ``limit`` s (wall).  ``name``: name of the run in the log.  ``check``:
+        called during the wait in place of the announcer's own, and raises to stop it.
         """
         check = check or self._check
 
@@ -218,12 +259,19 @@ class Announcer:
                 self._node.get_logger().info(f"{name}: {text}")
 
     def check_part(self, part: RollPart) -> None:
-        """Raise CaptureSimError if a run is on and a node is found in a trial of a real bench."""
+        """Raise TrialOnError if this node reports a trial of a real bench while a run is on.
+
+        A run is on from :meth:`participants` to :meth:`close`.  Call this for each part reported.
+        """
         if self._is_on and part.is_in_trial:
             raise _beside([part.node])
 
     def _await_discovery(self) -> None:
-        """Wait after the node's start until others are heard, or until it is taken for alone."""
+        """Wait until other nodes can have been discovered since this node's start.
+
+        The wait lasts :data:`DISCOVERY_TIME` after the start.  If ``wait_for`` is empty, it lasts
+        until another node has been heard as well, at most :data:`ALONE_TIME` after the start.
+        """
         is_alone = not self._wait_for
 
         def age() -> float:
@@ -236,13 +284,13 @@ class Announcer:
         self._node.wait(is_over, max(0.0, ALONE_TIME - age()))
 
     def _check_trials(self) -> None:
-        """Raise CaptureSimError during a trial, whose nodes would read this node's topics."""
+        """Raise TrialOnError during a trial, because its nodes would read this node's topics."""
         self._roll.await_heard()
         if nodes := self._roll.in_trials():
             raise _beside(nodes)
 
     def _missing(self) -> str:
-        """Return the nodes that a run still waits for before its start."""
+        """Return a log text that names the nodes of ``wait_for`` still missing; empty if none."""
         free = self._roll.free(self._source)
         others = [
             name
@@ -252,10 +300,11 @@ class Announcer:
         return _listed("to start", [name for name in others if not self._is_reading(name)])
 
     def _is_reading(self, name: str) -> bool:
-        """Return True if a node that is not on the roll is matched with all that it reads.
+        """Return True if a node of this name that is not on bench/roll is ready to read.
 
-        Its subscriptions then have not changed for :data:`DISCOVERY_TIME`, and for
-        :data:`STARTING_TIME` if the name is a role's.
+        It must subscribe to a topic of this node, and all subscriptions to these topics must be
+        matched.  No subscription may have changed for :data:`DISCOVERY_TIME`, or for
+        :data:`STARTING_TIME` if the name is that of a role.
         """
         if any(_is_named(node, name) for node in self._node.nodes_that_publish(ROLL)):
             return False
@@ -288,7 +337,7 @@ class Announcer:
 
 
 def _is_named(node: str, name: str) -> bool:
-    """Return True if a node, by its full name, has this name or full name."""
+    """Return True if ``name`` is the name or full name of the node with full name ``node``."""
     return name in (node, node.rpartition("/")[2])
 
 

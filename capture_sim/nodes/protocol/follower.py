@@ -1,7 +1,8 @@
-"""How a node takes part in runs, one after another: announced, ready, active, ended, done.
+"""How a node takes part in runs, one after another: it joins, begins, follows and leaves a run.
 
-A run begins with a RunInfo and ends with its announcer's StreamCounts.  A trial of a bench begins
-with a RunInfo without run.  A :class:`RunPart` defines the work of a node in a run.
+A run begins with a RunInfo.  A simulated run, live or replayed, ends with the simulator's
+StreamCounts.  A trial of a real bench ends with a RunInfo with an empty run_id.  A :class:`RunPart`
+defines the work of a node in a run.
 """
 
 from __future__ import annotations
@@ -47,19 +48,20 @@ from capture_sim.scene.quantities import shown
 
 #: Participants of a run get this long to join it, s (wall).
 JOIN_TIMEOUT = 15.0
-#: s (wall) without a message, after which an ended run is closed as incomplete.
+#: Time without a message after which a run that the announcer has ended is closed as incomplete,
+#: s (wall).
 DRAIN_TIMEOUT = 5.0
-#: Ctrl-C mostly ends all nodes at once: the end of the run is waited for this long, and of a trial
-#: its recording and the client that asks for its result, s (wall).
+#: Longest wait for the end of the run after Ctrl-C, s (wall), because Ctrl-C mostly ends all nodes
+#: at once.  After a trial, its recording and the client that asks for its result get as long.
 RUN_END_TIMEOUT = 3.0
 
-#: What the nodes themselves send in a trial.
+#: Topics that the nodes of this suite, not the drivers, publish in a trial.
 _OF_NODES = {STREAM_COUNTS, *topics_of(LAUNCHER), *topics_of(CAPTURE_DETECTOR)}
 
 
 @dataclass(frozen=True)
 class AnnouncedRun:
-    """A run that is announced: its RunInfo and scene."""
+    """A run that was announced: its RunInfo, and the scene that the RunInfo contains."""
 
     info: Any
     scene: Scene
@@ -76,7 +78,10 @@ class AnnouncedRun:
 
     @cached_property
     def simulated(self) -> bool:
-        """True if its times are a simulator's, live or played: the release is t = 0."""
+        """True for a run of a simulator, live or replayed; its stamps are simulated times.
+
+        False for a trial of a real bench, live or replayed; its stamps are times of other clocks.
+        """
         return SIMULATOR in self.info.publishers
 
 
@@ -84,26 +89,32 @@ class RunPart(Protocol):
     """The work of one node in a run."""
 
     def prepare(self, run: AnnouncedRun) -> None:
-        """Get ready: messages may come from now on.  CaptureSimError if that is not possible."""
+        """Prepare for a run: its messages may arrive after this call.
+
+        CaptureSimError if the node cannot take part in it.
+        """
 
     def begin(self, run: AnnouncedRun) -> None:
-        """Begin to publish: all participants are ready."""
+        """Begin to publish: all participants are ready, have timed out, or the run is under way."""
 
     def is_complete(self) -> bool:
-        """Return True if, after the followed streams, nothing else is waited for."""
+        """Return True if the node needs nothing more of an ended run than the followed streams."""
         return True
 
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
-        """End the run: publish the rest, close files, report missing messages."""
+        """End a run that has begun: publish the rest, close files, return what is missing."""
 
     def cancel(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
-        """Leave a run that has not begun, or in which this node has failed: close files."""
+        """Leave a run that has not begun, or in which this node has failed: close files.
+
+        The default returns ``end.reason``, if it is not empty, as the only problem.
+        """
         del run
         return RunReport((end.reason,) if end.reason else ())
 
 
 class _Participation:
-    """A run that this node takes part in, and how far it is."""
+    """The state of this node's part in a run: the messages received, and whether it has ended."""
 
     def __init__(self, run: AnnouncedRun, followed: Sequence[Topic]) -> None:
         self.run = run
@@ -118,21 +129,22 @@ class _Participation:
         self.logged: set[str] = set()  # problems
 
     def note_sign(self) -> None:
-        """Note a sign of the run: a message of it, or the presence of its announcer."""
+        """Restart the time limit of a run without messages and without its announcer."""
         self.quiet = 0
 
     def note_message(self, topic: Topic) -> None:
-        """Note a message of the run.
+        """Restart the time limit if a message on this topic shows that the run continues.
 
-        The sensors of a real bench send in any case: they are no sign of the node that has
-        announced the run.  After a trial's end the last messages of the nodes are waited for.
+        In a simulated run, each message on a topic of this suite does.  After the end of a run,
+        each message of launcher or detector does as well.  The messages of a real bench's drivers
+        do not, because drivers send whether or not the announcer is running.
         """
         is_of_simulator = self.run.simulated and is_own(topic)
         if is_of_simulator or (self.has_ended and topic in _OF_NODES):
             self.note_sign()
 
     def missing(self) -> RunEnd:
-        """Return the end of a run of which messages have not come."""
+        """Return the end of a run with messages missing; its reason lists them."""
         missing = "; ".join(self.streams.problems())
         return RunEnd(EndKind.MISSING, f"ended with messages missing: {missing}")
 
@@ -141,9 +153,11 @@ class Follower:
     """Takes part in runs on behalf of a node.
 
     In the node's constructor call :meth:`follow` for each stream, then :meth:`join`; call
-    :meth:`work` as the node's work.  ``sources`` are the sources of the runs in which the node
-    takes part.  A replay also has to name a node that publishes streams of its own, because the
-    recorded streams may be played.  No run waits for a node that is not ``on_roll``.
+    :meth:`work` as the node's work.  ``part`` defines what the node does in a run.  ``sources`` are
+    the sources of the runs in which the node takes part.  A node that publishes streams takes part
+    in a replay only if the RunInfo lists it in ``participants``, because otherwise the player may
+    publish the recorded messages of these streams.  With ``on_roll`` False, the node does not
+    report on bench/roll, and no run waits for it.
     """
 
     def __init__(
@@ -176,10 +190,11 @@ class Follower:
         raw: bool = False,
         watch: Callable[[Any], None] | None = None,
     ) -> None:
-        """Subscribe to a stream and count its messages until the end of the run.
+        """Subscribe to a stream; in each run, count its messages and pass them to ``callback``.
 
-        With ``raw`` the callback receives a message's bytes.  ``watch`` is called with every
-        message of a bench, even outside of runs.
+        With ``raw`` both functions receive a message's bytes.  Messages of a trial that arrive
+        before this node has begun it are not counted.  ``watch`` is called with every message
+        outside of runs, and in runs that are not simulated.
         """
 
         def take(message: Any) -> None:
@@ -199,7 +214,11 @@ class Follower:
         self._node.listen(topic, take, raw=raw)
 
     def join(self) -> None:
-        """Subscribe to announcements and join the roll, after all else; see :class:`Roll`."""
+        """Subscribe to announcements and join bench/roll.
+
+        Call this after all publishers and other subscriptions of the node are created, see
+        :class:`Roll`.
+        """
         self._node.listen(STREAM_COUNTS, self._hear_counts)
         self._node.listen(RUN_INFO, self._hear_announcement)
         self.roll = Roll(self._node, self._role, self._sources, is_listed=self._on_roll)
@@ -208,34 +227,37 @@ class Follower:
 
     @property
     def run(self) -> AnnouncedRun | None:
-        """The run that is announced or on, None without one."""
+        """The run that this node takes part in, from its announcement on; None without one."""
         return None if self._present is None else self._present.run
 
     @property
     def is_on(self) -> bool:
-        """True if a run has begun here."""
+        """True from the begin of a run in this node until the node has left it."""
         return self._present is not None and self._present.has_begun
 
     @property
     def has_ended(self) -> bool:
-        """True if the announcer has ended the run; messages may be on their way."""
+        """True if the announcer has ended the present run; its last messages may still arrive."""
         return self._present is not None and self._present.has_ended
 
     @property
     def was_cut(self) -> bool:
-        """True if the simulator has not reported the run as complete."""
+        """True if the simulator has not reported the present run as complete.
+
+        False without a run, and in a run that is not simulated.
+        """
         present = self._present
         if present is None or not present.run.simulated:
             return False
         return present.counts is None or not present.counts.complete
 
     def note_message(self, topic: Topic) -> None:
-        """Note a message of the run on a topic that the node does not follow."""
+        """Note a message of the run, if any, on a topic not subscribed by :meth:`follow`."""
         if self._present is not None:
             self._present.note_message(topic)
 
     def fail(self, problem: str) -> None:
-        """Log a problem of the run that is on, once; the node will end with status 1."""
+        """Set the node's exit status to 1; log a problem of the present run, once a run."""
         self._node.exit_status = FAILED
         present = self._present
         if present is not None and problem not in present.logged:
@@ -243,7 +265,7 @@ class Follower:
             self._node.get_logger().error(one_line(f"{present.run.name}: {problem}"))
 
     def work(self) -> int:
-        """Take part in runs until the node is asked to end; return the exit status."""
+        """Take part in runs until the node is asked to end, which raises KeyboardInterrupt."""
         self._node.freeze_objects()
         self._node.get_logger().info("ready, waiting for a run")
         while True:
@@ -262,7 +284,10 @@ class Follower:
             gc.collect()
 
     def _take_part(self, present: _Participation) -> None:
-        """Join a run, follow it to its end and leave it."""
+        """Join a run, follow it to its end and leave it.
+
+        After Ctrl-C, leave the run in order, then raise KeyboardInterrupt.
+        """
         run, interrupted = present.run, False
         try:
             self._part.prepare(run)
@@ -291,7 +316,11 @@ class Follower:
             raise KeyboardInterrupt
 
     def _await_participants(self, present: _Participation) -> None:
-        """Report that this node is ready, and wait until all others are; then begin."""
+        """Wait for the other participants, report that this node is ready, and begin the run.
+
+        First each must have been heard, then each must be ready; each wait lasts JOIN_TIMEOUT at
+        most.  The run begins earlier with its first message or its end.
+        """
         run, key = present.run, run_key(present.run.info)
         pending = partial(self.roll.pending, list(run.info.participants))
 
@@ -309,13 +338,13 @@ class Follower:
         self._begin(present)
 
     def _begin(self, present: _Participation) -> None:
-        """Begin the run, if that has not been done: its first message may come."""
+        """Begin the run, unless it has begun already."""
         if not present.has_begun:
             present.has_begun = True
             self._part.begin(present.run)
 
     def _await_end(self, present: _Participation, limit: float = math.inf) -> RunEnd:
-        """Follow a run until it is over; return how it has ended."""
+        """Follow a run until it is over, at most ``limit`` s (wall); return how it has ended."""
 
         def is_over() -> bool:
             return present.has_ended and present.streams.satisfied and self._part.is_complete()
@@ -347,7 +376,10 @@ class Follower:
         return RunEnd(EndKind.REQUESTED if requested else EndKind.CUT, reason)
 
     def _may_go_on(self, present: _Participation) -> bool:
-        """Return True if the announcer is there, or its name may not have been discovered yet."""
+        """Return True if the announcer is present, or may not have been discovered yet.
+
+        It may be undiscovered for JOIN_TIMEOUT after the announcement.
+        """
         announcer = present.run.info.announcer
         is_early = time.monotonic() < present.since + JOIN_TIMEOUT
         return self.roll.is_there(announcer) or (is_early and self.roll.may_be_there(announcer))
@@ -386,7 +418,7 @@ class Follower:
         present.note_sign()
 
     def assume(self, scene: Scene) -> None:
-        """Take part in a trial that no node announces, until the node is asked to end."""
+        """Let :meth:`work` take part in a trial that no node announces, until Ctrl-C."""
         run = RunDescription.of(
             scene,
             uuid.uuid4().hex,
@@ -398,7 +430,7 @@ class Follower:
 
 
 def _scene_of(info: Any) -> Scene:
-    """Return the scene of an announced run; MessageError if a node cannot take part in it."""
+    """Return the scene of an announced run; MessageError if its RunInfo is not valid."""
     try:
         scene = load_scene_text(info.scene)
         described = RunDescription.of_message(info)

@@ -1,16 +1,21 @@
-"""The roll call: who takes part in runs, who is ready for one, who has done with it.
+"""The roll, bench/roll: each node reports whether it is free, ready for a run, or done with it.
 
-Every node that takes part publishes its part on bench/roll, transient local.  Publisher and
-subscription of the roll are the last that a node creates.  DDS announces them in that order, so a
-node that has a message of another's roll is matched with it in both directions: the other knows all
-its subscriptions, and it knows all publishers of the other.  A node is ready when it has a message
-of each participant; the first message of a run is sent when all are ready, so no node misses it.
+Such a report is called the node's part.  The topic is transient local.  A node creates its
+publisher and its subscription of the roll after all its others, and DDS announces them in the order
+of their creation.  If node A has received a part from node B, they are therefore matched in both
+directions: B knows all subscriptions of A, and A knows all publishers of B.  A node reports that it
+is ready once it has a part from each participant.  The first message of a run is sent when all
+participants are ready, so none of them misses it.  Both waits have a time limit.
 
-A run, for the node that announces it: wait for nodes; RunInfo; all participants ready; messages;
-the counts of a simulator, or, after a trial, a RunInfo without run; all participants done; a
-RunInfo without run.  For a participant: RunInfo; get ready; hear all others; ready; begin with the
-last one that is ready, or the first message; the announcer's end; the last missing message; done.
-No node waits for a participant that has left.
+The node that announces a run waits for nodes, sends RunInfo, waits until all participants are
+ready, and sends the messages.  It then ends the run: a simulator by its StreamCounts, a trial by a
+RunInfo with an empty run_id.  Then it waits until all participants are done.  After a simulated run
+it finally sends the RunInfo with an empty run_id.
+
+A participant receives RunInfo, prepares, waits for a part from each other participant, and reports
+that it is ready.  It begins when all are ready, or with the first message of a simulator.  When the
+announcer has ended the run and the last missing message has come, it reports that it is done.  No
+node waits for a participant that has left the network.
 """
 
 from __future__ import annotations
@@ -30,13 +35,15 @@ from capture_sim.messages.topics import ROLL, RunSource, topics_of
 from capture_sim.nodes.base.endpoints import message_class
 from capture_sim.nodes.base.node import POLL, BenchNode
 
-#: A node that has just joined the roll is heard within this long, s (wall).
+#: Longest wait for the first part of a node that has just joined the roll, s (wall).
 HEARING_TIMEOUT = 2.0
-#: A node whose run has ended has closed its file within this long, s (wall), as a rule.
+#: A node has normally closed its file within this time after the end of a run, s (wall).
 FREE_TIMEOUT = 8.0
-#: A node repeats its part so often, s (wall); one that is not heard for so long is named.
+#: Period at which a node repeats its part, and time without any part from a node after which its
+#: name is logged, s (wall).
 SIGN_PERIOD, SILENCE_LIMIT = 1.0, 5.0
-#: Of nodes of one name, more than are discovered, those heard within this time, s (wall), count.
+#: If more nodes of one name are heard than are discovered, each that was heard within this time,
+#: s (wall), counts as present.
 NAMESAKE_LIMIT = 3.0 * SIGN_PERIOD
 FREE, READY, DONE = 0, 1, 2
 
@@ -51,7 +58,7 @@ class RunReport:
 
 @dataclass(frozen=True)
 class RollPart:
-    """A node's part as it has reported it, see msg/Roll.msg."""
+    """A node's last report on bench/roll; the fields are those of msg/Roll.msg."""
 
     id: str
     role: str
@@ -68,12 +75,12 @@ class RollPart:
 
     @property
     def number(self) -> str:
-        """Unique number of the node, which increases with its start time."""
+        """Unique hexadecimal number of the node, as text that sorts by the node's start time."""
         return number_of(self.id)
 
     @property
     def is_in_trial(self) -> bool:
-        """True if the node takes part in a trial of a real bench now."""
+        """True if the node takes part in a trial of a real bench at present."""
         return self.state == READY and self.source == RunSource.TRIAL
 
     def is_called(self, name: str) -> bool:
@@ -81,42 +88,48 @@ class RollPart:
         return name in (self.role, self.node, self.node.rpartition("/")[2])
 
     def is_ready(self, run: str) -> bool:
-        """Return True if the node has joined this run, and perhaps left it."""
+        """Return True if the node has joined the run with this key, or has already left it."""
         return self.run == run and self.state in (READY, DONE)
 
     def is_done(self, run: str) -> bool:
-        """Return True if the node has left this run."""
+        """Return True if the node has left the run with this key, see :func:`run_key`."""
         return self.run == run and self.state == DONE
 
 
 def node_of(participant: str) -> str:
-    """Return the full name of the node in a participant's id."""
+    """Return the full name of a node from its id, which is ``full name#number``."""
     return participant.partition("#")[0]
 
 
 def number_of(participant: str) -> str:
-    """Return the number in a participant's id."""
+    """Return the number of a node from its id, which is ``full name#number``."""
     return participant.partition("#")[2]
 
 
 def has_streams(role: str) -> bool:
-    """Return True if a role publishes streams, whose counts end a run too."""
+    """Return True if nodes of a role publish topics of a run besides bench/stream_counts.
+
+    True for simulator, launcher and capture_detector.
+    """
     return len(topics_of(role)) > 1
 
 
 def run_key(info: Any) -> str:
-    """Return the key of a run in the roll, from its RunInfo or description.
+    """Return the key that identifies a run on the roll, from its RunInfo or RunDescription.
 
-    A recorded run can be announced by several players.
+    The key contains the announcer's id, because several players can announce one recorded run.
     """
     return f"{info.run_id}@{info.announcer}"
 
 
 class Roll:
-    """The roll as one node sees it: its own part, and :attr:`parts` of the others, by id.
+    """Publishes one node's part on bench/roll and keeps the last part of each other node.
 
-    Create it after all publishers and subscriptions of the node.  ``on_part`` is called with each
-    part that is reported.  A node that is not listed only listens.
+    ``id`` is this node's id; ``parts`` has the parts of the other nodes, also of nodes that have
+    left the network, by id.  Create this object after all publishers and subscriptions of the node.
+    ``sources`` are the sources of the runs that the node takes part in.  ``on_part`` is called with
+    each part that another node reports.  With ``is_listed`` False the node publishes no part and
+    only listens.
     """
 
     def __init__(
@@ -155,7 +168,11 @@ class Roll:
         node.every(SIGN_PERIOD, self.repeat)
 
     def report(self, state: int, run: Any = None, report: RunReport | None = None) -> None:
-        """Publish this node's part; ``run``: RunInfo or description of the run."""
+        """Publish this node's part; do nothing if the node is not listed.
+
+        ``state``: FREE, READY or DONE.  ``run``: RunInfo or RunDescription of the run, None for
+        FREE.  ``report``: report on the run's end, for DONE.
+        """
         if not self._is_listed:
             return
         report = report or RunReport()
@@ -174,11 +191,12 @@ class Roll:
         self._node.send(ROLL, message)
 
     def repeat(self) -> None:
-        """Repeat this node's part, and name the nodes that are there but no longer heard.
+        """Publish this node's part again, and log nodes that are connected but no longer heard.
 
-        Such a node stands still, or it has forgotten this one in a stop longer than the lease
-        (config/fast_dds.xml) and asks in vain for endpoints that this one takes for acknowledged.
-        Fast DDS does not mend that; docs/evidence/node_suite.md shows the packets.
+        Such a node is stopped or busy.  Or it was stopped for longer than the DDS lease
+        (config/fast_dds.xml) and has forgotten this node.  It then asks in vain for endpoints that
+        this node regards as acknowledged.  Fast DDS does not recover from that;
+        docs/evidence/node_suite.md shows the packets.
         """
         if self._own is not None:
             self._node.send(ROLL, self._own)
@@ -202,10 +220,11 @@ class Roll:
     def pending(
         self, participants: Sequence[str], has: Callable[[RollPart], bool] = lambda part: True
     ) -> list[str]:
-        """Return the nodes that have not been heard, or whose part ``has`` is not true of.
+        """Return the nodes that have not been heard, or for whose part ``has`` returns False.
 
-        A node that was there and has left is not waited for; one that never was may not have been
-        discovered yet, or its name may be unknown still.
+        ``participants``: ids of the nodes to check.  The result contains full names, without this
+        node and without nodes that were present and have left the network.  It contains nodes that
+        were never present, because they may not have been discovered yet.
         """
         return [
             node_of(id_)
@@ -216,7 +235,7 @@ class Roll:
         ]
 
     def free(self, source: RunSource) -> list[RollPart]:
-        """Return the parts of nodes that are there, in no run, and take part in such runs."""
+        """Return the parts of nodes that are present, in no run, and accept runs of this source."""
         return [
             part
             for part in self.parts.values()
@@ -224,7 +243,7 @@ class Roll:
         ]
 
     def busy(self, source: RunSource) -> list[RollPart]:
-        """Return the parts of nodes that take part in such runs, but are in another run now."""
+        """Return the parts of nodes that are present, in a run, and accept runs of this source."""
         return [
             part
             for part in self.parts.values()
@@ -232,21 +251,21 @@ class Roll:
         ]
 
     def await_free(self, source: RunSource, until: Callable[[], bool]) -> None:
-        """Wait until no node is :meth:`busy`, or ``until()`` is true, for a while at most.
+        """Wait until no node is :meth:`busy`, or ``until()`` is true, at most FREE_TIMEOUT.
 
-        A recorder may still be closing the file of a run that was played.
+        Reason: a recorder may still be closing the file of a run that was played.
         """
         self._node.wait(lambda: until() or not self.busy(source), FREE_TIMEOUT)
 
     def in_trials(self) -> list[str]:
-        """Return the nodes that take part in a trial of a real bench now.
+        """Return the full names of the nodes that take part in a trial of a real bench at present.
 
-        On a busy machine a node is heard before it is discovered: it counts.
+        They include nodes that are heard but not yet discovered, as can happen on a busy machine.
         """
         return [p.node for p in self.parts.values() if p.is_in_trial and self.may_be_there(p.id)]
 
     def await_heard(self) -> None:
-        """Wait until all nodes that publish on the roll have been heard, for a while at most."""
+        """Wait until all nodes that publish on the roll are heard, at most HEARING_TIMEOUT."""
         own = Counter([self._node.get_fully_qualified_name()] * self._is_listed)
 
         def all_heard() -> bool:
@@ -255,7 +274,10 @@ class Roll:
         self._node.wait(all_heard, HEARING_TIMEOUT)
 
     def report_ignored(self, info: Any, reason: str) -> None:
-        """Log that an announced run is ignored, and why, once for each announcer."""
+        """Log that this node ignores an announced run, and why, once for each announcer.
+
+        ``info``: RunInfo of the run.
+        """
         if info.announcer not in self.ignored:
             self.ignored.add(info.announcer)
             who = node_of(info.announcer) or "a node"
@@ -263,11 +285,12 @@ class Roll:
             self._node.get_logger().warning(one_line(text))
 
     def is_there(self, participant: str) -> bool:
-        """Return True if a participant's publisher is present.
+        """Return True if the node with this id publishes on the roll at present, or is this node.
 
-        Of several nodes with one name, the newest count as present, and so do nodes that were heard
-        a moment ago.  The reason: on a busy machine a new node can be heard before it is
-        discovered, and must not replace an older node of its name then.
+        DDS reports only names.  If nodes of one name are heard, the last ones to report first
+        count as present, as many as DDS reports.  If DDS reports at least one, each node of this
+        name counts that was heard within NAMESAKE_LIMIT, or not yet.  Reason: on a busy machine a
+        new node can be heard before it is discovered, and must not replace an older one then.
         """
         name = node_of(participant)
         count = self._nodes()[name] - (
@@ -284,7 +307,10 @@ class Roll:
         return is_there or participant == self.id
 
     def may_be_there(self, participant: str) -> bool:
-        """Return False if a participant has left: it was there, and is not now."""
+        """Return False if a node has left the network: it was present, and is not at present.
+
+        True for a node that was never present, because it may not have been discovered yet.
+        """
         return self.is_there(participant) or participant not in self._seen
 
     def _nodes(self) -> Counter[str]:

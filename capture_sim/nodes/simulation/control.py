@@ -1,8 +1,9 @@
 """Play, pause and reset of the simulator and of a player, without ROS.
 
-Requests arrive while the running code waits, see :meth:`SimulationControl.tick`.  So a request is
-answered at once, and no message is sent between a pause and its answer.  States, results and their
-numbers are those of ``simulation_interfaces`` (ros-simulation, 2.1), which defines their meaning.
+Requests are handled in callbacks, which run while the simulating or playing code waits, see
+:meth:`SimulationControl.tick`.  No message of the run is therefore sent between a pause and the
+reply to its request.  States, results and their numbers are those of ``simulation_interfaces``
+(ros-simulation, 2.1), which defines their meaning.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ from typing import NamedTuple
 from capture_sim.nodes.protocol.ends import CutKind
 from capture_sim.nodes.simulation.pacing import RunPacer
 
-#: Callbacks get their turn this often while time goes on.  Waits below this are slept through: the
-#: executor's own would be later by 0.1 ms, s (wall).
+#: Period at which callbacks run while simulated time advances, s (wall).  A shorter wait is a sleep
+#: without callbacks, because a wait of the executor would end 0.1 ms later.
 SERVICE_PERIOD = 0.005
 
 
 class State(IntEnum):
-    """States of a simulation, as in SimulationState.msg; those of loading a world are unused."""
+    """States of a simulation, as in SimulationState.msg, without its states of loading a world."""
 
     STOPPED = 0
     PLAYING = 1
@@ -31,7 +32,7 @@ class State(IntEnum):
 
 
 class Code(IntEnum):
-    """Results, as in Result.msg and SetSimulationState.srv."""
+    """Result codes of requests, as in Result.msg and SetSimulationState.srv."""
 
     FEATURE_UNSUPPORTED = 0
     OK = 1
@@ -41,7 +42,7 @@ class Code(IntEnum):
 
 
 class Scope(IntEnum):
-    """Bits of ResetSimulation's scope."""
+    """Bits of the field ``scope`` of a ResetSimulation request."""
 
     DEFAULT = 0
     TIME = 1
@@ -51,14 +52,14 @@ class Scope(IntEnum):
 
 
 class Reply(NamedTuple):
-    """Result of a request."""
+    """Result of a request; ``message`` is empty if the code is OK."""
 
     code: Code
     message: str = ""
 
 
 class RunCut(Exception):  # noqa: N818  # not an error: the run is to end before its time
-    """The current run must end; the text gives the reason."""
+    """Raised to end the current run early; the text gives the reason, ``kind`` its kind."""
 
     def __init__(self, kind: CutKind, reason: str = "") -> None:
         super().__init__(reason or kind.value)
@@ -66,9 +67,11 @@ class RunCut(Exception):  # noqa: N818  # not an error: the run is to end before
 
 
 class SimulationControl:
-    """The state of a simulator or player, and when its next tick may pass.
+    """Keeps the state of a simulator or player, and delays each tick until it is due.
 
-    ``wait`` runs callbacks for s (wall), and raises KeyboardInterrupt if the process is to end.
+    A tick is the instant at which the messages of one simulated or recorded time are sent.
+    ``wait`` is a function that runs callbacks for a time, s (wall), and raises KeyboardInterrupt if
+    the process is to end.
     """
 
     def __init__(
@@ -87,7 +90,11 @@ class SimulationControl:
     # requests
 
     def set_state(self, target: int) -> Reply:
-        """Change the state; a run that is on ends where it is stopped."""
+        """Change the state; STOPPED and QUITTING end the current run at its next check or tick.
+
+        ``target`` is the number of a :class:`State`.  Any other number is answered with
+        INCORRECT_TRANSITION.
+        """
         if target not in list(State):
             states = ", ".join(f"{state:d} {state.name.lower()}" for state in State)
             text = f"state {target}: must be one of {states}"
@@ -102,9 +109,11 @@ class SimulationControl:
         return Reply(Code.OK)
 
     def reset(self, scope: int) -> Reply:
-        """Begin again, with time and state together.
+        """Restart the current run, with time and state together.
 
-        A playing or paused run stays so; a stopped one is at its start already.
+        The restarted run is playing or paused as before.  Without a run, or if stopped, the reply
+        is OK and nothing changes.  A ``scope`` other than 0 must contain the bits of both time and
+        state, else the reply is FEATURE_UNSUPPORTED.
         """
         if self.state is State.QUITTING:
             return Reply(Code.INCORRECT_STATE, "already quitting")
@@ -117,14 +126,17 @@ class SimulationControl:
         return Reply(Code.OK)
 
     def abort(self, reason: str) -> None:
-        """End the run that is on, since something has gone wrong."""
+        """End the current run, if any, because of an error, which ``reason`` describes."""
         if self._is_running:
             self._cut = RunCut(CutKind.ABORTED, reason)
 
     # the code that runs
 
     def begin(self) -> None:
-        """Note that a run begins: from here on it can be cut."""
+        """Note that a run begins and restart the pacer; the run can be ended early from now on.
+
+        If the state is STOPPED or QUITTING, the run's first check or tick ends it.
+        """
         self.pacer.reset()
         self._is_running, self._cut = True, None
         if self.state in (State.STOPPED, State.QUITTING):
@@ -132,18 +144,19 @@ class SimulationControl:
 
     @property
     def cut_kind(self) -> CutKind | None:
-        """Why the run that is on is to end, if it is."""
+        """Reason why the current or last run was requested to end early; None if it was not."""
         return None if self._cut is None else self._cut.kind
 
     def check(self) -> None:
-        """Raise RunCut if the run is to end."""
+        """Raise RunCut if the current run is to end early."""
         if self._cut is not None:
             raise self._cut
 
     def tick(self, t: float) -> None:
-        """Wait until time ``t`` (s) may pass: playing and due.
+        """Wait until the state is PLAYING and time ``t`` (s, simulated or recorded) is due.
 
-        The time that passed last passes again at once.  RunCut if the run is to end.
+        Run callbacks meanwhile.  Return at once if ``t`` is the time of the last tick.  RunCut if
+        the run is to end early.
         """
         while True:
             self.check()
@@ -166,12 +179,12 @@ class SimulationControl:
                 return
 
     def end(self) -> None:
-        """Note that the run is over."""
+        """Note that the run is over: it can no longer be ended early, and the pacer pauses."""
         self._is_running = False
         self.pacer.pause()
 
     def finish(self) -> None:
-        """Stop, as nothing is left to run, unless something else was requested meanwhile."""
+        """Set the state to STOPPED, because nothing is left to run; QUITTING remains."""
         if self.state is not State.QUITTING:
             self.state = State.STOPPED
 

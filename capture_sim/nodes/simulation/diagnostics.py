@@ -1,4 +1,4 @@
-"""Diagnostics of the simulator: pace, lateness and integrator."""
+"""Diagnostics of the simulator: its pace, lateness, integrator steps and energy residual."""
 
 from __future__ import annotations
 
@@ -7,14 +7,18 @@ from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.simulation.control import SimulationControl, State
 from capture_sim.nodes.simulation.stepping import Stepping
 
-#: Progress is logged every so many periods.
+#: Number of periods of publication from one log line of a run's progress to the next.
 _LOG_EVERY = 5
-#: The achieved factor may differ by this much, relative, before it is a warning.
+#: Relative deviation of the achieved from the requested real-time factor above which the status is
+#: a warning.
 _SLACK = 0.01
 
 
 class SimulatorDiagnostics:
-    """Publishes pace, lateness, integrator statistics and energy residual of a run."""
+    """Publishes pace, lateness, integrator steps and energy residual of a run every second.
+
+    It also logs the progress of a playing run every five seconds.
+    """
 
     def __init__(self, node: BenchNode, control: SimulationControl) -> None:
         self._node = node
@@ -27,13 +31,13 @@ class SimulatorDiagnostics:
         node.every(PERIOD, self._tick)
 
     def begin(self, stepping: Stepping) -> None:
-        """Report on this run from now on."""
+        """Report on the run of this :class:`Stepping` from now on."""
         self._run = stepping
         self._on = True
         self._ticks = self._rounds = 0
 
     def end(self) -> None:
-        """Publish the diagnostics of the complete run."""
+        """Publish the diagnostics of the run, from its begin to its complete or early end."""
         self._on = False
         self._publish(whole=True)
 

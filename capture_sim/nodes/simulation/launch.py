@@ -30,7 +30,7 @@ from capture_sim.nodes.protocol.ends import RunEnd
 from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
 from capture_sim.nodes.protocol.roll import RunReport
 
-#: What is read of a simulator at each instant: the numbers of each message besides its stamp.
+#: Topics of the simulator that the launcher reads, with the fields that it needs besides the stamp.
 NUMBERS = {
     STRING_STATE: ("chaser_speed", "phase"),
     CONTACT_STATE: ("in_touch", "touches"),
@@ -39,9 +39,10 @@ NUMBERS = {
 
 
 class SimulatedLaunch(RunPart):
-    """Publishes ARM, RELEASE and ABORT, and the launcher's state with every periodic sample.
+    """Publishes the commands ARM, RELEASE and ABORT, and the launcher's state at ``run.rate``.
 
-    :class:`capture_sim.launcher.state_machine.Launcher` makes the decisions.
+    :class:`capture_sim.launcher.state_machine.Launcher` makes the decisions.  With ``auto_release``
+    the chaser is released as soon as it is armed, otherwise by :meth:`set_auto_release`.
     """
 
     # of the run that is on, or the last one
@@ -61,11 +62,15 @@ class SimulatedLaunch(RunPart):
         self._follower.join()
 
     def work(self) -> int:
-        """Take part in runs until the node is asked to end; return the exit status."""
+        """Take part in runs until the node is asked to end, which raises KeyboardInterrupt."""
         return self._follower.work()
 
     def set_auto_release(self, value: bool) -> None:
-        """Release at once from now on, or hold an armed chaser."""
+        """Set whether an armed chaser is released at once.
+
+        If True, release a chaser that is armed now.  If False, hold the chaser of each run armed
+        until it is set to True; a released chaser stays released.
+        """
         self._auto_release = value
         launcher = self._launcher
         is_armed = launcher is not None and launcher.status.state is LauncherPhase.ARMED
@@ -73,7 +78,7 @@ class SimulatedLaunch(RunPart):
             self._release()
 
     def settings_changed(self) -> None:
-        """Use settings that have been changed."""
+        """Apply the changed settings to the current run; later runs use them in any case."""
         if self._launcher is not None:
             self._launcher.tolerance = self._settings.tolerance
             self._launcher.aborts = self._settings.aborts
@@ -81,14 +86,14 @@ class SimulatedLaunch(RunPart):
     # a run, see RunPart
 
     def prepare(self, run: AnnouncedRun) -> None:
-        """Plan the launch."""
+        """Plan the launch of the run's scene."""
         settings = self._settings
         self._launcher = Launcher(run.scene, settings.tolerance, aborts=settings.aborts)
         self._telemetry = LauncherTelemetry(self._node.messages, run.id)
         self._parts, self._has_touched, self._deviation = {}, False, ""
 
     def begin(self, run: AnnouncedRun) -> None:
-        """Arm."""
+        """Publish the command ARM, and RELEASE if ``auto_release`` is set."""
         assert self._launcher is not None
         launcher, plan = self._launcher, self._launcher.plan
         self._node.publish(self._telemetry.command(0.0, LaunchAction.ARM, plan))
@@ -98,7 +103,7 @@ class SimulatedLaunch(RunPart):
             self._release()
 
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
-        """Report the counts."""
+        """Publish how many messages the launcher has sent, as StreamCounts."""
         del run
         self._node.publish(self._telemetry.end(end.reason))
         return end.report
@@ -110,7 +115,7 @@ class SimulatedLaunch(RunPart):
         self._node.publish(*self._telemetry.status(0.0, launcher.release()))
 
     def _receive(self, topic: Topic, numbers: Numbers, data: bytes) -> None:
-        """Collect the measurements of one instant."""
+        """Collect the fields with one stamp; evaluate them when all three messages are there."""
         sec, nanosec, *values = numbers(data).item()
         stamp = sec * 1_000_000_000 + nanosec
         parts = self._parts.setdefault(stamp, {})

@@ -1,4 +1,4 @@
-"""Simulated or recorded time at a given rate of wall time, by a steady clock."""
+"""Pacing: simulated or recorded time advances at a given rate of a steady wall clock."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Delays beyond this are skipped instead of recovered, s (wall).
+#: A tick that is late by more than this shifts all later ticks; a shorter delay is recovered, s
+#: (wall).
 MAX_RECOVERED_DELAY = 1.0
-#: Ticks whose lateness is kept at most.
+#: Maximum number of ticks whose lateness is kept.
 _MAX_TICKS = 1_000_000
 
 
 class Lateness(NamedTuple):
-    """Lateness of the ticks of a paced run, s (wall)."""
+    """Percentiles and maximum of the lateness of the ticks of a paced run, s (wall)."""
 
     p50: float
     p99: float
@@ -26,12 +27,14 @@ class Lateness(NamedTuple):
 
 
 class RunPacer:
-    """Computes when ticks are due, from one origin, and keeps how late they came.
+    """Computes when each tick is due, and keeps how late the ticks came.
 
-    ``factor``: simulated seconds per second, 0 for no pacing; ``clock``: a steady one, s.  The
-    first tick after :meth:`reset` is due at once.  ``t``: simulated time of the last tick, s, NaN
-    before the first; ``ticks``: how many were paced; ``skipped_delay``: s (wall) that were not
-    recovered.
+    A tick is the instant at which the messages of one simulated time are sent; for a player,
+    simulated time means recorded time.  ``factor``: simulated seconds per second (wall), 0 for no
+    pacing; ``clock``: function that returns the time of a steady clock, s.  The first tick after
+    :meth:`reset` is due at once.  ``t``: simulated time of the last tick, s, NaN before the first;
+    ``ticks``: number of ticks with a factor above 0; ``skipped_delay``: delay that was not
+    recovered, s (wall), see MAX_RECOVERED_DELAY.
     """
 
     def __init__(self, factor: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -40,7 +43,7 @@ class RunPacer:
         self.reset()
 
     def reset(self) -> None:
-        """Restart; earlier pacing is forgotten."""
+        """Restart with no tick, and clear all statistics; the factor stays."""
         self.t = math.nan
         self.ticks = 0
         self.skipped_delay = 0.0
@@ -51,7 +54,7 @@ class RunPacer:
 
     @property
     def factor(self) -> float:
-        """Simulated seconds per second; a change in a run takes effect from the present time on."""
+        """Simulated seconds per second (wall); a change in a run affects only the time after it."""
         return self._factor
 
     @factor.setter
@@ -60,7 +63,7 @@ class RunPacer:
         self._factor = value
 
     def pause(self) -> None:
-        """Let time stand still until the next :meth:`delay`."""
+        """Stop simulated time until the next call of :meth:`delay` or :meth:`tick`."""
         if self._origin is not None:
             passed = self._clock() - self._origin
             self._wall += passed
@@ -68,7 +71,10 @@ class RunPacer:
             self._origin = None
 
     def delay(self, t: float) -> float:
-        """Return in how many seconds (wall) simulated time ``t`` (s) is due; <= 0 if it is."""
+        """Return after how many s (wall) simulated time ``t`` (s) is due; <= 0 if it is due.
+
+        Without pacing return 0.  After a pause, simulated time starts to advance with this call.
+        """
         now = self._clock()
         if self._origin is None:
             # a delay before a pause is not recovered
@@ -79,7 +85,7 @@ class RunPacer:
         return self._origin + (t - self._t_origin) / self._factor - now
 
     def tick(self, t: float) -> None:
-        """Note that simulated time ``t`` (s) passes now, in its turn."""
+        """Note that the tick of simulated time ``t`` (s) happens now."""
         late = -self.delay(t)
         if not math.isnan(self.t):
             self._simulated += t - self.t
@@ -97,7 +103,7 @@ class RunPacer:
 
     @property
     def running(self) -> bool:
-        """True while simulated time advances: from a tick in turn until a pause."""
+        """True while simulated time advances: from a :meth:`delay` or :meth:`tick` to a pause."""
         return self._origin is not None
 
     @property
@@ -107,11 +113,15 @@ class RunPacer:
 
     @property
     def achieved(self) -> float:
-        """Simulated seconds per second so far, without pauses."""
+        """Simulated seconds per second (wall) since :meth:`reset`, without pauses."""
         return self._simulated / max(self.wall, 1e-9)
 
     def lateness(self, last: int | None = None) -> Lateness | None:
-        """Return how late the ticks came, all or the ``last`` ones; None before the first."""
+        """Return the lateness of the last ``last`` ticks (>= 1), or of all if it is None.
+
+        Return None if there was no tick with a factor above 0.  Of a long run only the latest
+        500 000 to 1 000 000 ticks are kept.
+        """
         kept = self._late if last is None else self._late[-last:]
         if not kept:
             return None

@@ -1,4 +1,4 @@
-"""The bench for RViz and Foxglove: robot_description, and tf where its messages exist."""
+"""The bench for RViz and Foxglove: robot_description, and tf if tf2_msgs is installed."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ from capture_sim.scene.parts import Scene
 
 
 class RobotModel:
-    """Publishes the bench's shape (URDF) and the poses of its parts.
+    """Publishes the bench's shape (URDF), and the poses of its parts if tf2_msgs is installed.
 
-    For the eye only: not counted, not recorded (poses and joints are), never waited for.
+    These messages serve only to show the bench.  They are neither counted nor recorded, and no run
+    waits for their readers.  Recordings contain the same motion in other topics.
     """
 
     def __init__(self, node: BenchNode) -> None:
@@ -43,7 +44,7 @@ class RobotModel:
         self._static = node.create_publisher(self._tf, "tf_static", TRANSIENT_LOCAL)
 
     def begin(self, scene: Scene) -> None:
-        """Show the parts of this scene, at its start."""
+        """Publish the shape of this scene's bench, and the poses of its parts at the start."""
         self._scene = scene
         self._description.publish(self._string(data=urdf(scene)))
         if self._moving is not None:
@@ -52,9 +53,9 @@ class RobotModel:
             self._moving.publish(self._message(moving_transforms(scene, q.tolist()), 0.0))
 
     def move(self, sample: np.void) -> None:
-        """Show the parts where this sample has them, if a node reads tf.
+        """Publish the poses of the parts in this sample (dtype SAMPLE), if a node reads tf.
 
-        These messages would take a third of a simulator's time.
+        Without a reader they are not made, because they need a third of a simulator's time.
         """
         if self._moving is None or self._scene is None:
             return

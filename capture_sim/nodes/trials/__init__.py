@@ -1,4 +1,4 @@
-"""How a trial of a real bench is run over ROS: an action, the bench's topics, launcher/hold.
+"""Trials of a real bench over ROS: their action, the bench's topics, the output launcher/hold.
 
 Takes: Goals of the action, measurements, statuses.
 Gives: Commands to the rig, and the trial's result.

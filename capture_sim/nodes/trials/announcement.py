@@ -1,4 +1,4 @@
-"""A trial as the other nodes see it: announced, commanded, reported, closed."""
+"""Messages by which the launcher announces, reports and closes a trial for the other nodes."""
 
 from __future__ import annotations
 
@@ -16,16 +16,20 @@ from capture_sim.nodes.protocol.announcer import Announcement, Participants
 from capture_sim.nodes.protocol.roll import DONE, READY, Roll, RunReport
 from capture_sim.trial.trial import Trial, TrialPhase, TrialStep
 
-#: A participant that has left a trial without a report.
+#: Problem of a participant that has left a trial without a report.
 GONE = "gone without a report: killed, or its network is down"
-#: Why a trial is announced once more before its release.
+#: Why the announcement of a trial is withdrawn before its release.
 WITHDRAWN = "a node that was to take part has gone: announced again once another one is there"
 
 
 class TrialAnnouncement:
-    """Does the steps of a trial, and follows which nodes take part in it.
+    """Publishes what the other nodes need of one trial, and follows which of them take part in it.
 
-    ``required``: roles without which nothing is let go.
+    It does not let the chaser go: :class:`capture_sim.nodes.trials.bench.TrialBench` does.
+
+    ``required``: roles of nodes, e.g. ``recorder``, that must take part before the chaser is let
+    go.  An unmet requirement is reported by :meth:`state_of_others`; the trial then does not
+    release.
     """
 
     def __init__(
@@ -41,7 +45,11 @@ class TrialAnnouncement:
         self._is_closed = self._is_delivered = False
 
     def perform(self, step: TrialStep, stamp: int) -> None:
-        """Do a step of the trial; ``stamp``: of the chaser's latest pose, ns."""
+        """Publish the messages of a step that the trial has decided.
+
+        ``stamp``: stamp of the chaser's latest pose, ns, which the messages of an abort get.
+        Announce the trial before any other step.
+        """
         launcher = self.trial.launcher
         match step:
             case TrialStep.ANNOUNCE:
@@ -63,7 +71,10 @@ class TrialAnnouncement:
                 self._node.get_logger().warning(f"{self.trial.goal.name}: {WITHDRAWN}")
 
     def report_launch(self) -> None:
-        """Publish the state of the launch by the poses since the last call."""
+        """Publish the launcher's statuses that the poses since the last call have given.
+
+        They are published from the release to the close.  The first contact is logged once.
+        """
         for stamp, status in self.trial.take_statuses():
             if self.trial.is_released and not self._is_closed:
                 self._telemetry.zero_ns = stamp
@@ -74,7 +85,12 @@ class TrialAnnouncement:
                 self._node.get_logger().info(f"{self.trial.goal.name}: {text}")
 
     def state_of_others(self) -> dict[str, Any]:
-        """Return which of the other nodes have joined and ended: arguments of Trial.set_others."""
+        """Return which other nodes have joined or left the trial, as arguments of Trial.set_others.
+
+        Before the announcement, it contains which required roles cannot take part (``absent``).
+        After it, it contains which nodes the trial waits for (``pending``) and, until the close,
+        which required roles have left the trial (``lost``).
+        """
         if self._announced is None:
             absent = "; ".join(self._absences(self._required))
             return {"ready": False, "done": False, "pending": "", "absent": absent}
@@ -87,7 +103,7 @@ class TrialAnnouncement:
         }
 
     def result(self) -> dict[str, Any]:
-        """Return the fields of the result of a trial that is over."""
+        """Return the fields of the action's result (action/RunTrial.action); call it at the end."""
         trial, reports = self.trial, self._announced.reports() if self._announced else []
         verdict, reason = trial.outcome
         if CAPTURE_DETECTOR not in self._taking_part.roles and trial.is_released:
@@ -111,7 +127,10 @@ class TrialAnnouncement:
         }
 
     def _absences(self, roles: Collection[str]) -> list[str]:
-        """Return a line for each of these roles of which no node can take part."""
+        """Return a line for each of ``roles`` that has no node which can take part in a trial.
+
+        A node cannot take part while it is in another run.
+        """
         free = {part.role for part in self._roll.free(RunSource.TRIAL)}
         busy = {part.role: part.node for part in self._roll.busy(RunSource.TRIAL)}
         return [
@@ -123,7 +142,10 @@ class TrialAnnouncement:
         ]
 
     def _lost(self) -> dict[str, str]:
-        """Return a line for each required role whose nodes have all left the trial."""
+        """Return a line, by role, for each required role without a node in the trial any more.
+
+        The line has the problems that a node of this role has reported, or :data:`GONE`.
+        """
         assert self._announced is not None
         here = {part.role for part in self._announced.present()}
         reports = {
@@ -138,7 +160,7 @@ class TrialAnnouncement:
         }
 
     def _announce(self) -> None:
-        """Announce the trial to all nodes that take part in trials."""
+        """Announce the trial to all nodes that take part in trials and are in no other run."""
         goal = self.trial.goal
         self._taking_part = taking_part = Participants(self._roll.free(RunSource.TRIAL))
         self._absent = self._absences((CAPTURE_DETECTOR, RECORDER))
@@ -159,7 +181,11 @@ class TrialAnnouncement:
         self._node.get_logger().info(f"{goal.name}: {self.trial.launcher.plan.text}")
 
     def _close(self, failure: str) -> None:
-        """Send the counts of the launcher's messages, and that no run is on; and why, if early."""
+        """End the trial for the other nodes.
+
+        The counts of the launcher's messages are sent, then the announcement that no run is on.
+        ``failure``: why the trial ends early; empty if it does not.
+        """
         assert self._announced is not None
         self._node.publish(self._telemetry.end(failure))
         self._announced.close()

@@ -1,8 +1,8 @@
-"""The bench of a trial over DDS: it reads measurements and verdict, and publishes launcher/hold.
+"""The real bench of a trial: measurements and verdict are read, launcher/hold is published.
 
-:class:`capture_sim.trial.trial.Trial` makes the decisions; messages and a timer reach it in
-callbacks.  Every callback publishes launcher/hold if it is due, so launcher/hold is late by the
-longest callback at most.
+:class:`capture_sim.trial.trial.Trial` makes the decisions.  Messages and a timer reach it in the
+node's callbacks.  The timer and the callbacks of measurements publish launcher/hold whenever it is
+due, so that no queue of waiting measurements delays it.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from capture_sim.trial.hold import HoldOutput, HoldPublishers, HoldReaders
 from capture_sim.trial.interlocks import Interlocks, TrialLimits
 from capture_sim.trial.trial import Trial, TrialStep
 
-#: Time limits are looked at this often, s (wall).
+#: Period of the timer by which time limits are checked, s (wall).
 TICK = 0.02
-#: A timer that is later by more than this shows that this node was busy: messages wait for it.
-#: It gets as long to read them before it decides by them, s (wall).
+#: If the timer is later than this, s (wall), this node was busy and messages wait to be read.  The
+#: node then reads them for as long before the trial decides.
 MAX_LATENESS = 0.1
 BOOL = "std_msgs/msg/Bool"
-#: Examples that make PoseStamped of a driver's type.
+#: Examples that convert a driver's type of message to PoseStamped.
 RELAYS = {
     "geometry_msgs/msg/TransformStamped": "relay_transform.py",
     "tf2_msgs/msg/TFMessage": "relay_tf.py",
@@ -52,18 +52,45 @@ RELAYS = {
     "motion_capture_tracking_interfaces/msg/NamedPoseArray": "relay_rigid_bodies.py",
     "mocap4r2_msgs/msg/RigidBodies": "relay_rigid_bodies.py",
 }
-#: Name of a node that DDS does not know, or not any more.
+#: Node name that rclpy gives if DDS does not know it yet, or no longer.
 UNKNOWN = "_NODE_NAME_UNKNOWN_"
 
 
 class TrialBench:
-    """Feeds the present trial, lets it decide, and holds or releases the chaser.
+    """Passes measurements and verdict to the present trial, and holds or releases the chaser.
 
-    Without ``has_actuator`` the chaser is released by hand.  ``driver`` names the node that must
-    read launcher/hold; if it is empty, any node may that is not one of ``suite``, which returns the
-    full names of the nodes of this suite.  ``steps`` are the steps of the trial that its server has
-    yet to take.  ``stamp`` (ns) is the stamp of the chaser's latest pose.  ``waived`` has the names
-    of rules that do not refuse a release.  ``scene`` is the scene of trials whose goal names none.
+    With an actuator, it also checks the measurements between trials, and reports on /diagnostics
+    what would refuse a release.
+
+    Parameters
+    ----------
+    node
+        Node whose callbacks read the topics and publish launcher/hold.
+    limits
+        Limits of every trial.
+    driver
+        Name or full name of the node that must read launcher/hold.  If it is empty, any node except
+        those of ``suite``, ``ros2 topic`` and ``ros2 bag`` is accepted.
+    waived
+        Names of rules that do not refuse a release.
+    scene
+        Scene by which measurements are checked while no trial is on; None: without a scene.
+    suite
+        Function that returns the full names of the other nodes of capture_sim.
+    has_actuator
+        True if launcher/hold lets the chaser go.  False: launcher/hold is not published, and the
+        chaser is released by hand.
+
+    Attributes
+    ----------
+    steps
+        Steps that the trial has decided and its server has yet to take.
+    stamp
+        Stamp of the latest pose of the chaser in a trial, ns.
+    interlocks
+        Conditions for a release, with the latest measurements.
+    evidence
+        Measurements for the check of plausibility.
     """
 
     def __init__(
@@ -126,23 +153,27 @@ class TrialBench:
         node.every(LOOK_UP_PERIOD, self._look_up_others)
 
     def begin(self, trial: Trial) -> None:
-        """Feed this trial from now on."""
+        """Pass measurements and verdicts to this trial from now on; discard earlier steps."""
         self._look_up_others()
         self.steps.clear()
         self._trial = trial
 
     def end(self) -> None:
-        """Feed no trial from now on, and hold."""
+        """Pass measurements to no trial from now on, and hold the chaser."""
         self._trial = None
         self._output_hold()
 
     def take_steps(self) -> list[TrialStep]:
-        """Return the steps since the last call."""
+        """Return the steps that the trial has decided since the last call."""
         steps, self.steps = self.steps, []
         return steps
 
     def decide(self) -> None:
-        """Let the trial decide at once, e.g. when it is cancelled."""
+        """Let the trial decide now, e.g. when it is cancelled, and publish launcher/hold.
+
+        If this node was busy, the trial decides at a later callback instead, after the measurements
+        that have waited; see :data:`MAX_LATENESS`.
+        """
         self._decide(time.monotonic())
 
     # callbacks
@@ -206,7 +237,11 @@ class TrialBench:
                     log.info("the chaser stands at its start again")
 
     def _diagnose(self) -> None:
-        """Publish whether the chaser could be let go now, else why not."""
+        """Publish on /diagnostics whether the chaser could be let go now, else why not.
+
+        The level is OK also after a trial's release, and ERROR if another node publishes
+        launcher/hold or a held chaser does not stop.
+        """
         now = time.monotonic()
         error = self._conflict or self._alarm
         level, text = Level.OK, "ready to let go"
@@ -234,7 +269,7 @@ class TrialBench:
         self._decide(time.monotonic())
 
     def _look_up_publishers_of_hold(self) -> None:
-        """Note who publishes launcher/hold; log another node once."""
+        """Note which nodes publish launcher/hold; log a conflict with another node once."""
         if self._hold is None:
             return
         ends = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(HOLD))
@@ -248,7 +283,11 @@ class TrialBench:
         self._conflict = conflict
 
     def _check_plausibility(self) -> None:
-        """Note the broken rules that forbid a release; log those that only cast doubt."""
+        """Check the last seconds by the rules of plausibility.
+
+        Broken rules that refuse a release are noted for the interlocks.  The others are logged each
+        time a different set of them is broken.
+        """
         scene = self._scene if self._trial is None else self._trial.scene
         doubts = self.evidence.before_release(scene)
         grave = refusing(doubts)
@@ -261,7 +300,10 @@ class TrialBench:
                 self._node.get_logger().warning(one_line(noted))
 
     def _look_up_others(self) -> None:
-        """Note who publishes the measurements, and who reads and publishes launcher/hold."""
+        """Note which nodes publish the measurements, and which read and publish launcher/hold.
+
+        Unless a chaser is released, also check the plausibility of the last seconds.
+        """
         if self._hold is not None and (self._trial is None or not self._trial.is_released):
             self._check_plausibility()
         self.interlocks.machine_clock = time.time() - time.monotonic()
@@ -282,16 +324,19 @@ class TrialBench:
         self.interlocks.readers.note(drivers - wrong.keys(), wrong, time.monotonic())
 
     def _decide(self, now: float) -> None:
-        """Let the trial decide; the chaser is let go or held at once.
+        """Let the trial decide at time ``now``, s, and publish launcher/hold if that changes it.
 
-        Measurements that wait for a node that was busy come first.
+        If this node was busy, do nothing: it must first read the measurements that have waited.
         """
         if self._trial is not None and now >= self._caught_up and not self._is_late(now):
             self.steps += self._trial.advance(now)
             self._output_hold()
 
     def _output_hold(self) -> None:
-        """Publish whether the chaser is held, if that has changed or is due."""
+        """Publish launcher/hold if its value has changed or its period has elapsed.
+
+        Without an actuator nothing is published.
+        """
         if self._hold is None:
             return
         now = time.monotonic()
@@ -307,12 +352,19 @@ class TrialBench:
 
 
 def _names(ends: Sequence[Any]) -> set[str]:
-    """Return the full names of the nodes; of a process that was killed the name goes first."""
+    """Return the full names of the nodes of publishers or readers, without unknown names.
+
+    If a process was killed, DDS forgets the name of its node before it forgets its publishers.
+    """
     return {full_name(end) for end in ends if UNKNOWN not in end.node_name}
 
 
 def _hold_problem(reader: Any) -> str:
-    """Return why no launcher/hold reaches a reader, e.g. one with a deadline; empty if it does."""
+    """Return why no message of launcher/hold can reach a reader; empty if messages can.
+
+    Reasons are another type of message, or a requested quality of service that the publisher of
+    launcher/hold does not offer, e.g. a deadline.
+    """
     if reader.topic_type != BOOL:
         return f"reads {reader.topic_type}"
     reason = qos_problem(TRANSIENT_LOCAL, reader.qos_profile)
@@ -320,9 +372,9 @@ def _hold_problem(reader: Any) -> str:
 
 
 def _mismatch(topic: Topic, publisher: Any) -> str:
-    """Return why no message of a publisher can come; empty if messages can.
+    """Return why no message of this publisher of a topic can arrive; empty if messages can.
 
-    Reliability is no reason: a topic of a driver is read as it is published.
+    A best-effort publisher is no reason, because the topic is then read best effort.
     """
     if publisher.topic_type != topic.type_name:
         text = f"{full_name(publisher)} publishes {publisher.topic_type}, not {topic.type_name}"

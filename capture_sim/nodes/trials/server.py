@@ -1,8 +1,8 @@
-"""The action launcher/run_trial: trials of a real bench, one at a time.
+"""Server of the action launcher/run_trial: trials of a real bench, one at a time.
 
-Nothing but a goal of this action lets a real chaser go.  The trial decides in the callbacks of
-:class:`capture_sim.nodes.trials.bench.TrialBench`; commands to the other nodes are sent between
-callbacks.
+Only a goal of this action can make the launcher let a real chaser go.  The trial decides in the
+callbacks of :class:`capture_sim.nodes.trials.bench.TrialBench`.  Messages to the other nodes, which
+may have to wait for a slow reader, are sent between callbacks.
 """
 
 from __future__ import annotations
@@ -42,22 +42,24 @@ from capture_sim.trial.trial import (
     TrialPhase,
 )
 
-#: Feedback is sent this often, s (wall).
+#: Shortest time between two feedback messages of the action, s (wall).
 FEEDBACK_PERIOD = 0.1
 INTERRUPTED = "launcher interrupted"
 
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """How trials are run.
+    """Settings of all trials that a launcher serves; the launcher's parameters set them.
 
-    ``has_actuator``: launcher/hold lets the chaser go; else it is let go by hand.
-    ``needs_client``: the chaser is let go only once the client has asked for the result.
-    ``driver``: the node that must read launcher/hold, empty for any.
-    ``required``: roles without which nothing is let go; a result names them where they are lost.
-    ``waived``: rules before a release that do not refuse it, by name.
-    ``scene``: of goals that name none; ``scene_folder``: whose files a goal may name besides the
-    packaged scenes.
+    ``has_actuator``: True if launcher/hold lets the chaser go, False if a person does so by hand.
+    ``limits``: limits of every trial.
+    ``needs_client``: the chaser is let go only once the goal's client has asked for the result.
+    ``driver``: name of the node that must read launcher/hold; empty accepts any other node.
+    ``required``: roles of nodes, e.g. ``recorder``, that must take part before the chaser is let
+    go; not used without an actuator.
+    ``waived``: names of rules that do not refuse a release.
+    ``scene``: scene of goals that name none; None: such goals are refused.
+    ``scene_folder``: folder of scenes that a goal may name, besides the packaged scenes.
     """
 
     has_actuator: bool
@@ -71,9 +73,11 @@ class TrialSettings:
 
 
 class _Server(ActionServer):
-    """An action server that reports which goal's result a client has asked for.
+    """An action server that reports when a client asks for the result of a goal.
 
-    A goal is executed at its end: an execution that waits would be resumed after every callback.
+    ``on_result_request`` is called with the goal's id.  An accepted goal is not executed at once,
+    but when its trial is over, by :meth:`end`.  Reason: rclpy would resume an execution that waits
+    for the trial after every callback.
     """
 
     def __init__(self, *arguments: Any, on_result_request: Callable[[bytes], None], **more: Any):
@@ -81,21 +85,25 @@ class _Server(ActionServer):
         super().__init__(*arguments, **more)
 
     async def execute(self, taken_data: Any) -> None:
-        """Serve requests: rclpy has no callback for this one."""
+        """Serve requests, and report one for a result, as rclpy has no callback for it."""
         if "result" in taken_data:
             self._on_result_request(bytes(taken_data["result"][1].goal_id.uuid))
         await super().execute(taken_data)
 
     def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
-        """Leave the execution of an accepted goal to :meth:`end`."""
+        """Do nothing when a goal is accepted, because :meth:`end` has it executed later."""
 
     def end(self, handle: Any) -> None:
-        """Have the executor execute a goal, whose result is then sent to who asks for it."""
+        """Let the executor execute a goal; its result is then sent to each client that asks."""
         super().notify_execute(handle, None)
 
 
 class TrialServer:
-    """Serves launcher/run_trial for a node; call :meth:`work` as the node's work."""
+    """Serves the action launcher/run_trial for a launcher node, which calls :meth:`work` once.
+
+    ``launch``: settings of the launch; the caller may change them at any time and then calls
+    :meth:`settings_changed`.
+    """
 
     def __init__(self, node: BenchNode, settings: TrialSettings, launch: LaunchSettings) -> None:
         self._node, self._settings, self._launch = node, settings, launch
@@ -130,7 +138,11 @@ class TrialServer:
         self._roll = Roll(node, LAUNCHER)
 
     def work(self) -> int:
-        """Serve goals until the node is asked to end; return the exit status."""
+        """Serve goals until the node is asked to end.
+
+        It ends only by an exception, e.g. KeyboardInterrupt.  A client that has not yet received
+        the last result then gets it, if it asks for it soon.
+        """
         self._node.freeze_objects()
         actuator = "launcher/hold" if self._settings.has_actuator else "none: let go by hand"
         self._node.get_logger().info(f"ready for trials, actuator {actuator}")
@@ -144,14 +156,14 @@ class TrialServer:
                 self._answer_last_goal()
 
     def settings_changed(self) -> None:
-        """Use settings that have been changed, also in the trial that is on."""
+        """Apply the changed settings of the launch to the present trial, if there is one."""
         if self._trial is not None:
             self._trial.set_launch(self._launch.tolerance, aborts=self._launch.aborts)
 
     # goals, in callbacks
 
     def _hear_announcement(self, info: Any) -> None:
-        """Name once who announces runs here: they move nothing."""
+        """Log once for each other node that announces runs: the launcher ignores these runs."""
         if info.run_id and info.announcer != self._roll.id:
             self._roll.report_ignored(info, "only a goal of ~/run_trial begins a trial here")
 
@@ -187,7 +199,11 @@ class TrialServer:
     # a trial, between callbacks
 
     def _serve(self) -> None:
-        """Run the trial of the goal that was accepted."""
+        """Run the trial of the accepted goal to its end, and send the result.
+
+        A goal with an unusable scene or field is refused.  If the node is asked to end, the trial
+        is cancelled and the chaser held.
+        """
         handle = self._handle
         try:
             goal, scene = self._checked(handle.request)
@@ -251,7 +267,7 @@ class TrialServer:
                 self._said = trial.deviation
 
     def _checked(self, request: Any) -> tuple[TrialGoal, Scene]:
-        """Return goal and scene of a request; CaptureSimError if they cannot be used."""
+        """Return the goal and the scene of a request; CaptureSimError if one cannot be used."""
         if request.scene:
             scene = load_requested(request.scene, folder=self._settings.scene_folder)
         elif self._settings.scene is not None:
@@ -270,7 +286,7 @@ class TrialServer:
         self._send_result("abort", RunTrial.Result(reason=reason, **nothing))
 
     def _finish(self, run: TrialAnnouncement) -> None:
-        """Send the result to the client."""
+        """Log the result of a trial that is over, and send it to the client."""
         trial, result = run.trial, RunTrial.Result(**run.result())
         log = self._node.get_logger()
         if trial.failure:
@@ -285,7 +301,11 @@ class TrialServer:
         self._send_result("abort" if trial.failure else "succeed", result)
 
     def _send_result(self, outcome: str, result: Any) -> None:
-        """Have the result of the goal that is served sent."""
+        """Send the result of the present goal, and wait until the goal is closed.
+
+        ``outcome``: name of the method that closes it, ``abort`` or ``succeed``; a goal whose
+        client has cancelled it is closed as cancelled instead.
+        """
         self._outcome = outcome, result
         self._server.end(self._handle)
         while self._handle.is_active:
@@ -293,7 +313,11 @@ class TrialServer:
         self._handle = None
 
     def _answer_last_goal(self) -> None:
-        """Send the last result at the node's end, though its client may yet have to ask for it."""
+        """Before the node ends, wait until the client has received the result of its last goal.
+
+        The wait is at most 3 s (RUN_END_TIMEOUT), because a client may never ask for its result.
+        A goal that was accepted but has no result yet is refused first.
+        """
         if self._handle is not None:
             self._refuse(INTERRUPTED)
         deadline = time.monotonic() + RUN_END_TIMEOUT
@@ -305,7 +329,7 @@ class TrialServer:
 
 
 def _feedback(trial: Trial, now: float) -> Any:
-    """Return the feedback of a trial for its operator."""
+    """Return the feedback message of a trial; ``now``: present time of the steady clock, s."""
     return RunTrial.Feedback(
         phase=int(trial.phase),
         waiting_for=trial.waiting_for(now),
