@@ -1,7 +1,10 @@
 """The quantities drawn over time, as data for plots and for rerun.
 
-As in the paper, a line is solid while the tip touches the cone and dashed while it does not.  While
-a latch holds the tip, the line is dotted and dashed.
+In plots, the line of a run is solid while the tip touches the cone, dashed while it does not, and
+dash-dotted while the latch holds the tip.  Contact force and penetration always have solid lines,
+because their values already show when the tip touches.  More than ten runs together always have
+solid lines too.  Summary plots of single runs shade the times of contact; there, lines over time
+are solid in flight, too.
 """
 
 from __future__ import annotations
@@ -30,7 +33,7 @@ from capture_sim.viewing.source import (
 Runs = Run | Sequence[Run]
 Window = tuple[float, float]
 
-#: Layers of the ledger, from below: name, colour, fields of a sample.
+#: Layers of the plot of energies, from below: name, colour, fields of a sample that it adds up.
 LAYERS = (
     ("kinetic", style.SKY, ("kinetic",)),
     ("elastic, buffer", style.BLUE, ("elastic_axial", "elastic_torsion", "elastic_stop")),
@@ -45,7 +48,7 @@ LAYERS = (
     ("stops", style.BLACK, ("dissipated_stop",)),
     ("landing of the mass", style.YELLOW, ("dissipated_landing",)),
 )
-#: What holds the tip; :data:`capture_sim.viewing.style.LINES` has the look of each.
+#: What holds the tip, by name; :data:`capture_sim.viewing.style.LINES` has the line style of each.
 HOLDS = ("free", "in contact", "latched")
 _VISIBLE = 1e-3  # share of the whole below which a layer is left out
 _POINTS = 600
@@ -54,41 +57,51 @@ _ENVELOPE_POINTS = 400
 
 
 class PlottedRun(NamedTuple):
-    """A run as it is drawn: its name, colour, marker, and from when its time counts."""
+    """A run as it is drawn: its name, colour and marker, its drawn samples, and its time zero."""
 
     run: Run
     label: str
     colour: str
-    origin: float  # s
+    origin: float  # s since the release: the time that is zero on the time axis
     samples: np.ndarray  # (n,) of dtype SAMPLE: the drawn ones
-    touching: np.ndarray  # (n,) bool, of these samples
+    touching: np.ndarray  # (n,) bool: contact at a drawn sample or before the next one
     marker: str | None  # None where the colour is enough
 
     @property
     def holds(self) -> np.ndarray:
-        """Constraint on the tip just after each sample, (n,), as numbers of :data:`HOLDS`."""
+        """What holds the tip from each drawn sample to the next, (n,), as indices of :data:`HOLDS`.
+
+        A sample in the phase latched counts as latched, whether or not it counts as contact too.
+        """
         latched = self.samples["phase"] == Phase.LATCHED
         return np.where(latched, HOLDS.index("latched"), self.touching.astype(int))
 
     @property
     def scene(self) -> Scene:
-        """The scene as drawn."""
+        """The scene that is drawn: the run's, or for a measured run at its first measured poses."""
         return self.run.drawn_scene
 
     def curve(self, quantity: Quantity) -> tuple[np.ndarray, np.ndarray]:
-        """Return times (n,), s since the release, and values (n,) of a quantity, in its unit."""
+        """Return times (n,), s since the release, and values of a quantity, in the quantity's unit.
+
+        Values are (n,), or (n, k) of a quantity of k curves.  They reach from the first to the last
+        drawn sample.  The origin is not subtracted from the times.
+        """
         t, values = quantity.curve(self.run)
         inside = (t >= self.samples["t"][0]) & (t <= self.samples["t"][-1])
         return t[inside], values[inside]
 
     @property
     def time(self) -> np.ndarray:
-        """Times of the samples as drawn, (n,), s."""
+        """Times of the drawn samples on the time axis, (n,), s since ``origin``."""
         return np.asarray(self.samples["t"]) - self.origin
 
 
 class LimitLine(NamedTuple):
-    """A level that a quantity is to reach or not to pass: name, value in its unit, colour."""
+    """A level that a quantity should reach, or should not pass.
+
+    It has a name, a value in the unit of the quantity, and a colour.
+    """
 
     name: str
     value: float
@@ -96,7 +109,7 @@ class LimitLine(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A quantity over time."""
+    """A quantity that is drawn over time: how it is computed from samples, named and scaled."""
 
     title: str  # in words
     label: str  # of its axis
@@ -106,22 +119,28 @@ class Quantity(NamedTuple):
     si: Callable[[np.ndarray], np.ndarray]
     sign: str = ""  # what its sign means
     from_zero: bool = False  # the axis begins at zero
-    #: Times (n,), s, and values (n,), SI, of a run, with the touches between its samples.  None if
-    #: the samples are all: then the line shows contact and flight.
+    #: Function that returns times (n,), s since the release, and values (n,), SI, of a run, at its
+    #: samples and at points of the touches between them.  Such a quantity is drawn as a solid line.
+    #: None: the quantity is drawn at the samples only, and the line's style shows what holds the
+    #: tip (:data:`HOLDS`).
     located: Callable[[Run], tuple[np.ndarray, np.ndarray]] | None = None
     limits: Callable[[Scene], tuple[LimitLine, ...]] = lambda _: ()  # of a scene, in the unit
 
     @property
     def axis(self) -> str:
-        """The axis' label with its unit."""
+        """The axis' label, with the meaning of the sign if there is one, and the unit."""
         return f"{self.label}{self.sign and f' ({self.sign})'}  [{self.unit}]"
 
     def of(self, samples: np.ndarray) -> np.ndarray:
-        """Return its values in samples (n,), in its unit."""
+        """Return the quantity's values, (n,) or (n, k), at samples (n,), in the quantity's unit."""
         return np.asarray(self.si(samples) * self.factor)
 
     def curve(self, run: Run) -> tuple[np.ndarray, np.ndarray]:
-        """Return times (n,), s, and values (n,), in its unit, of a run."""
+        """Return times (n,), s since the release, and values of a whole run.
+
+        Values are (n,) or (n, k), in the quantity's unit.  The times are those of the samples; if
+        ``located`` is set, they include points of the touches between the samples.
+        """
         if self.located is None:
             return run.samples["t"], self.of(run.samples)
         t, values = self.located(run)
@@ -129,14 +148,21 @@ class Quantity(NamedTuple):
 
 
 def _depth(samples: np.ndarray) -> np.ndarray:
-    """Return how deep the tip is in a wall that it touches, (n,), m."""
+    """Return the tip's depth in the wall that it touches, (n,), m; 0 while it touches none.
+
+    If it touches both walls, the result is the larger depth.
+    """
     # of the walls that are touched: latches hold the tip in their place
     touched = (samples["walls"][:, None] & np.array([1, 2])) != 0
     return np.asarray(np.where(touched, samples["penetration"], 0.0).max(axis=1))
 
 
 def _depth_with_ends(run: Run) -> tuple[np.ndarray, np.ndarray]:
-    """Return times, s, and depth, m, (n,): zero at the located ends, or a touch looks longer."""
+    """Return times (n,), s since the release, and the tip's depth in a wall (n,), m, of a run.
+
+    A depth of zero is inserted at the located start and end of each touch.  Without these points,
+    lines to the samples before and after a touch would make it look longer.
+    """
     touches = run.touches
     t = np.concatenate([run.samples["t"], touches["start"], touches["end"]])
     t, first = np.unique(t, return_index=True)
@@ -201,7 +227,7 @@ DISTANCE = Quantity(
     limits=_zone,
 )
 
-#: By name of their figure's file.
+#: Quantities that have a figure of their own, by the name of the figure's file.
 PANELS = {
     "impact_force": FORCE,
     "intrusion": PENETRATION,
@@ -210,7 +236,7 @@ PANELS = {
     "distance": DISTANCE,
 }
 
-#: Rates of x, y and theta: a row each; of chaser and target: a column each.
+#: Velocities: rows are x, y and angle; columns are chaser and target.
 VELOCITIES = tuple(
     tuple(
         Quantity(vehicle, label, unit, 1e3, _rate(first + row))
@@ -229,11 +255,16 @@ def plotted_runs(
     aligned: bool = False,
     window: Window | None = None,
 ) -> list[PlottedRun]:
-    """Return one run or several with their labels, colours, markers and origins of time.
+    """Return one run or several as they are drawn, each with its label, colour, marker and origin.
 
-    Without labels, runs have their scenes' names.  ``aligned`` counts each run's time from its
-    first touch; ``window`` is the drawn time, s since the release.  ValueError: there is no run, or
-    not one label for each.  CaptureSimError: a run has no sample in the window.
+    Without labels, runs have the names of their scenes, with ``_1``, ``_2`` ... added where several
+    scenes have the same name.  Leading underscores of a label are removed, because Matplotlib
+    leaves labels with them out of legends.  ``aligned``: True counts the time of each run from its
+    first touch, and the time of a run without a touch from the release.  ``window`` selects the
+    drawn samples by their time, s since the release (also if ``aligned``); None draws all samples.
+
+    ValueError: there is no run, or the number of labels is not the number of runs.
+    CaptureSimError: a run has no sample in the window.
     """
     several = list(runs) if isinstance(runs, Sequence) else [runs]
     if not several:
@@ -255,7 +286,10 @@ def plotted_runs(
 
 
 def _inside(run: Run, window: Window | None) -> slice:
-    """Return the samples of a run that lie in a window, s since the release."""
+    """Return the slice of the run's samples that lie in a window, s since the release.
+
+    None for the window selects all.  CaptureSimError: no sample lies in the window.
+    """
     if window is None:
         return slice(None)
     t = run.samples["t"]
@@ -269,22 +303,33 @@ def _inside(run: Run, window: Window | None) -> slice:
 
 
 def are_many(shown: Sequence[PlottedRun]) -> bool:
-    """Return True if runs are more than there are colours: they are drawn as an envelope."""
+    """Return True if there are more runs than colours.
+
+    Such runs are all drawn in the same colour: quantities over time as an :class:`Envelope`, paths
+    as thin lines.
+    """
     return len(shown) > len(style.RUNS)
 
 
 class Envelope(NamedTuple):
-    """A quantity of many runs over time, in its unit; columns of ``bounds`` are runs together."""
+    """The range of a quantity over many runs, as it changes with time.
 
-    t: np.ndarray  # (n,), s, as drawn
+    ``bounds`` are taken at each time over the values that the runs have then, in the unit of the
+    quantity.
+    """
+
+    t: np.ndarray  # (n,), s, on the time axis
     bounds: np.ndarray  # (n, 5): least, first quartile, median, third quartile, greatest
 
 
 def envelope(quantity: Quantity, shown: Sequence[PlottedRun], window: Window) -> Envelope:
-    """Return the range of a quantity over runs; a run counts while it has samples.
+    """Return the range of a quantity over runs at evenly spread times in a window.
 
-    Of a quantity with located touches, each point has the greatest value around it: a touch is
-    shorter than the distance of two points.
+    ``window`` is in seconds on the time axis.  A run counts at the times from its first to its last
+    drawn sample; times at which no run has a value are left out.  A touch may be shorter than the
+    interval between two of the times.  So for a quantity with ``located``, the value of a run at
+    one of the times is the greatest value that the run has from halfway since the time before to
+    halfway to the time after.
     """
     t = np.linspace(*window, _ENVELOPE_POINTS)
     step = t[1] - t[0]
@@ -303,10 +348,12 @@ def envelope(quantity: Quantity, shown: Sequence[PlottedRun], window: Window) ->
 
 
 def marked_points(length: np.ndarray, number: int, count: int) -> np.ndarray:
-    """Return which points of a curve bear the marker of run ``number`` of ``count``, indices (k,).
+    """Return the indices (k,) of the points of a curve at which its run's marker is drawn.
 
-    ``length`` is the time or length of the curve up to each point, (n,), ascending.  On curves
-    that coincide, the markers of different runs do not.
+    ``length`` is the time or length of the curve up to each point, (n,), ascending.  ``number`` is
+    the run's number, counted from 0, and ``count`` the number of runs.  The markers of each run are
+    at other shares of the length, so that they remain visible where curves coincide.  A curve of
+    fewer than two points has no markers.
     """
     if length.size < 2:
         return np.zeros(0, int)
@@ -316,9 +363,11 @@ def marked_points(length: np.ndarray, number: int, count: int) -> np.ndarray:
 
 
 def highest_touches(t: np.ndarray, values: np.ndarray, plotted: PlottedRun) -> np.ndarray:
-    """Return where a run's highest touches have their maximum in a curve, indices (k,).
+    """Return the indices (k,) in a curve of the maxima of the run's highest touches.
 
-    ``t`` (n,), s, is as drawn and ascending; the values (n,) have every touch in them.
+    The curve has times ``t``, (n,), s on the time axis, ascending, and values (n,) of a quantity
+    with ``located``, so that it has points in every touch.  There are at most six indices, of the
+    highest touch first; a touch outside the times is left out.
     """
     touches = plotted.run.touches
     first, last = (np.searchsorted(t, touches[end] - plotted.origin) for end in ("start", "end"))
@@ -333,7 +382,11 @@ def path_length(path: np.ndarray) -> np.ndarray:
 
 
 def common_window(shown: Iterable[PlottedRun], window: Window | None = None) -> Window:
-    """Return the time to draw, s on the axis: as asked, or from before contact to verdict."""
+    """Return the start and end of the drawn time, s on the time axis.
+
+    These are those of ``window`` if it is given.  Otherwise they enclose the times that are drawn
+    by default of all runs: from shortly before the first touch to shortly after the verdict.
+    """
     if window is not None:
         return window
     windows = [
@@ -343,7 +396,12 @@ def common_window(shown: Iterable[PlottedRun], window: Window | None = None) -> 
 
 
 def time_label(shown: Sequence[PlottedRun]) -> str:
-    """Return from when time counts, in words."""
+    """Return the label of the time axis of runs, without the unit: from when time counts.
+
+    If runs are aligned and at least one has a touch, it is ``time since the first touch``, although
+    the time of a run without a touch counts from the release.  Otherwise it names the release, or
+    the start unless all scenes have a string.
+    """
     if any(plotted.origin for plotted in shown):
         return "time since the first touch"
     words = {start_word(plotted.scene) for plotted in shown}
@@ -351,15 +409,18 @@ def time_label(shown: Sequence[PlottedRun]) -> str:
 
 
 def held_by(shown: Iterable[PlottedRun]) -> list[str]:
-    """Return which of :data:`HOLDS` occur in runs."""
+    """Return the names in :data:`HOLDS` that occur in the drawn samples of runs, in that order."""
     numbers = {int(number) for plotted in shown for number in np.unique(plotted.holds)}
     return [name for number, name in enumerate(HOLDS) if number in numbers]
 
 
 def split(values: np.ndarray, holds: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the values that belong to each of :data:`HOLDS` that occurs, (n, ...), NaN elsewhere.
+    """Return a copy of values for each name of :data:`HOLDS` that occurs, NaN where it does not.
 
-    The interval between two samples belongs to the earlier sample.
+    The copies are the lines to draw, each in the line style of its name.  ``values`` (n, ...) are
+    at samples, and ``holds`` (n,) are those of :attr:`PlottedRun.holds`.  The interval between two
+    samples belongs to the name at the earlier sample.  So where the name changes, the later sample
+    is in both copies, and the lines meet in it.
     """
     before = np.concatenate([holds[:1], holds[:-1]])
     shape = (-1,) + (1,) * (values.ndim - 1)
@@ -371,17 +432,24 @@ def split(values: np.ndarray, holds: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def has_ledger(run: Run) -> bool:
-    """Return True if the run's energies are known; a measured run has none."""
+    """Return True if the run's energies are known, i.e. if it was simulated and not measured."""
     return run.is_exact
 
 
 def energy_layers(
     samples: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, list[tuple[str, str, np.ndarray]]]:
-    """Return where the energy that was put in is, from samples (n,) of the state.
+    """Return the energy put into the bench since the start, and the layers that it is divided into.
 
-    These are times (n,), s, of some of the samples, the energy put in (n,), mJ, and name, colour
-    and energy (n,), mJ, of each layer that is large enough to be seen.
+    The energy put in is the kinetic energy of the first of the samples (n,), of dtype SAMPLE, and
+    the work of string and thrusters since the start of the run.  So it equals the sum of all layers
+    only if the samples begin at the start.  Of 1200 samples or more, only every second, third, etc.
+    is used.  The result has
+
+    - the times of the samples, (m,), s since the release,
+    - the energy put in until each time, (m,), mJ,
+    - name, colour and energy (m,), mJ, of each layer in :data:`LAYERS`, from below.  A layer that
+      never exceeds a thousandth of the largest energy put in is left out.
     """
     samples = samples[:: max(len(samples) // _POINTS, 1)]
     values = [np.sum([samples[field] for field in fields], axis=0) * 1e3 for *_, fields in LAYERS]

@@ -1,4 +1,4 @@
-"""Parts of plots of runs: the cone and the tip's path in it, quantities over time."""
+"""Parts of plots of runs: the cone with the tip's path in it, and quantities over time."""
 
 from __future__ import annotations
 
@@ -37,7 +37,11 @@ _PATH, CURVE = 3.2, 2.1  # widths in contact, points
 
 
 def draw_trajectory(axes: Axes, shown: Sequence[PlottedRun]) -> None:
-    """Draw the paths of the tip's centre; each cone that differs is drawn once."""
+    """Draw the cone and the paths of the tip's centre of all runs in the cone's frame, mm.
+
+    If the runs' cones or tip radii differ, each combination is drawn once.  The drawn range is that
+    of the first run's cone.
+    """
     scenes = [plotted.scene for plotted in shown]
     for scene in {(scene.cone, scene.probe.tip_radius): scene for scene in scenes}.values():
         _draw_cone(axes, scene)
@@ -50,7 +54,13 @@ def draw_trajectory(axes: Axes, shown: Sequence[PlottedRun]) -> None:
 
 
 def draw_end(axes: Axes, plotted: PlottedRun) -> None:
-    """Mark the last place of the tip's centre; draw the part around it large if it is near BE."""
+    """Mark the tip's centre at the run's last drawn sample, with the time, s since the release.
+
+    If it is then within three capture radii of the centre of BE, the mark is in an enlarged drawing
+    of the surroundings of BE, which is added in the lower right corner.  Otherwise it is in
+    ``axes`` (those of :func:`draw_trajectory`).  Nothing is drawn if the tip's centre is neither
+    near BE nor in the drawn range.
+    """
     path = tip_in_cone(plotted.samples) * _MM
     zone = plotted.scene.detector.capture_radius * _MM
     near = bool(np.hypot(*path[-1]) < 3.0 * zone)
@@ -70,7 +80,10 @@ def draw_end(axes: Axes, plotted: PlottedRun) -> None:
 
 
 def _draw_enlarged(axes: Axes, plotted: PlottedRun, zone: float) -> Axes:
-    """Draw the surroundings of BE once more in the lower right corner; return these axes."""
+    """Draw the surroundings of BE once more, enlarged, in the lower right corner of ``axes``.
+
+    ``zone`` is the capture radius, mm.  The result is the axes of the enlarged drawing.
+    """
     right, low = frame_bounds(plotted.scene)[0][1], frame_bounds(plotted.scene)[1][0]
     side = 0.7 * right
     corner = (right - side - 3.0, low + 3.0, side, side)
@@ -99,7 +112,7 @@ def _draw_paths(axes: Axes, shown: Sequence[PlottedRun]) -> None:
 
 
 def _draw_thin_paths(axes: Axes, shown: Sequence[PlottedRun]) -> None:
-    """Draw the paths of many runs alike."""
+    """Draw the paths of many runs as thin lines of one colour, with one entry in the legend."""
     for plotted in shown:
         path = tip_in_cone(plotted.samples) * _MM
         path = path[_in_frame(plotted.scene, path, margin=50.0)]
@@ -108,7 +121,7 @@ def _draw_thin_paths(axes: Axes, shown: Sequence[PlottedRun]) -> None:
 
 
 def _draw_cone(axes: Axes, scene: Scene) -> None:
-    """Draw walls, limit of the tip's centre and capture zone, with their names."""
+    """Draw walls, limit of the tip's centre and capture zone, with their names, and BE's centre."""
     draw_shapes(axes, cone_shapes(scene).values(), _MM)
     axes.plot(0, 0, marker="+", ms=10, mew=1.8, color=style.ZONE, zorder=4)
     outside = max(scene.detector.capture_radius, scene.probe.tip_radius) * _MM
@@ -155,7 +168,11 @@ def _draw_cone(axes: Axes, scene: Scene) -> None:
 def draw_path(
     axes: Axes, scene: Scene, samples: np.ndarray, holds: np.ndarray, colour: str
 ) -> None:
-    """Draw the path of the tip's centre; the line's style shows contact, free and latched."""
+    """Draw the path of the tip's centre in the cone's frame, mm, from samples (n,).
+
+    The style of the line shows what holds the tip: ``holds`` (n,) are indices of
+    :data:`capture_sim.viewing.curves.HOLDS`.
+    """
     path = tip_in_cone(samples) * _MM
     near = _in_frame(scene, path, margin=50.0)  # beyond, no line is needed
     for name, part in split(path[near], holds[near]).items():
@@ -163,7 +180,10 @@ def draw_path(
 
 
 def _in_frame(scene: Scene, path: np.ndarray, margin: float = 0.0) -> np.ndarray:
-    """Return whether points (n, 2), mm, lie in the frame with a margin round it, (n,) bool."""
+    """Return for each point of a path whether it is in the drawn range, enlarged by a margin.
+
+    ``path`` (n, 2) is in the cone's frame, mm, and ``margin`` in mm.  The result is (n,) bool.
+    """
     (left, right), (low, high) = frame_bounds(scene)
     inside = (path > (left - margin, low - margin)).all(axis=1)
     return np.asarray(inside & (path < (right + margin, high + margin)).all(axis=1))
@@ -172,9 +192,11 @@ def _in_frame(scene: Scene, path: np.ndarray, margin: float = 0.0) -> np.ndarray
 def draw_markers(
     axes: Axes, plotted: PlottedRun, curve: np.ndarray, length: np.ndarray, number: int, count: int
 ) -> None:
-    """Draw the marker of one of several runs at some points of its curve, (n, 2), if it has one.
+    """Draw the marker of run ``number`` of ``count`` runs at some points of the run's curve.
 
-    ``length`` is the time or length of the curve up to each point, (n,).
+    ``curve`` has points (n, 2) in the units of the axes; ``length`` is the time or length of the
+    curve up to each point, (n,).  ``number`` counts from 0.  Nothing is drawn if the run has no
+    marker, or if it is the only run.
     """
     if plotted.marker is None or count == 1:
         return
@@ -184,7 +206,10 @@ def draw_markers(
 
 
 def run_look(plotted: PlottedRun, width: float = CURVE) -> dict[str, Any]:
-    """Return how matplotlib draws a run's entry in a legend: its colour, and its marker if any."""
+    """Return matplotlib's arguments for a line or an entry of a legend that stands for a run.
+
+    They set the run's colour, its marker if it has one, and ``width``, of the line, points.
+    """
     look: dict[str, Any] = {"color": plotted.colour, "lw": width}
     if plotted.marker is not None:
         look |= {"marker": plotted.marker, "ms": 9.0, "mec": "white", "mew": 0.5}
@@ -192,14 +217,20 @@ def run_look(plotted: PlottedRun, width: float = CURVE) -> dict[str, Any]:
 
 
 def line_look(name: str, width: float = CURVE) -> dict[str, Any]:
-    """Return matplotlib's line style for one of HOLDS; ``width`` in points, in contact."""
+    """Return matplotlib's arguments for the line style of a name in :data:`.curves.HOLDS`.
+
+    ``width`` is the width of a line in contact, points; the other styles are thinner.
+    """
     line = style.LINES[name]
     cap = {"solid_capstyle": "butt"} if line.dashes == "solid" else {}
     return {"ls": line.dashes, "lw": width * line.width, **cap}
 
 
 def frame_bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the drawn range of x and of y, mm."""
+    """Return the drawn range of x and of y in plots of the cone, mm, in the cone's frame.
+
+    It contains the cone and a margin for the tip; behind BE it contains space for legends.
+    """
     lip = wall(scene.cone, 1)[1] * _MM
     margin = scene.probe.tip_radius * _MM + 4.0
     top = float(lip[1] + 0.6 * margin)
@@ -210,7 +241,11 @@ def frame_bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]
 def draw_quantity(
     axes: Axes, quantity: Quantity, shown: Sequence[PlottedRun], window: Window
 ) -> None:
-    """Draw a quantity over time, as far as it lies in the window, so that the axis fits it."""
+    """Draw a quantity of runs over time with its limits, and label the axis of its values.
+
+    ``window`` is in seconds on the time axis.  What lies outside it is not drawn, so that the axis
+    of the values fits what lies inside.  More than ten runs are drawn as an envelope.
+    """
     limits = {limit for plotted in shown for limit in quantity.limits(plotted.scene)}
     for limit in sorted(limits, key=lambda limit: limit.value):
         if quantity.from_zero:
@@ -245,7 +280,7 @@ def draw_quantity(
 def _draw_curve(
     axes: Axes, quantity: Quantity, plotted: PlottedRun, window: Window, number: int, count: int
 ) -> None:
-    """Draw a quantity of run ``number`` of ``count``, with the run's marker on it."""
+    """Draw a quantity of run ``number`` of ``count``, with the run's marker if it has one."""
     t, values = plotted.curve(quantity)
     inside = (t - plotted.origin >= window[0]) & (t - plotted.origin <= window[1])
     t, values = t[inside] - plotted.origin, values[inside]
@@ -263,7 +298,7 @@ def _draw_curve(
 def _draw_envelope(
     axes: Axes, quantity: Quantity, shown: Sequence[PlottedRun], window: Window
 ) -> None:
-    """Draw the range of many runs, the middle half of them, and their median."""
+    """Draw the range of a quantity over many runs, of their middle half, and their median."""
     t, bounds = envelope(quantity, shown, window)
     least, first_quartile, median, third_quartile, greatest = bounds.T
     look: dict[str, Any] = {"color": style.BLUE, "lw": 0}

@@ -1,7 +1,8 @@
 """Shapes of the bench and the cone from above, m, for plots, report and rerun.
 
-Cone's frame here: x from the centre of BE along the target's +x, y along its +y.  The chaser comes
-from -x; the walls open towards it.
+Shapes of the vehicles and the rail are in the world frame.  Shapes of the cone are in the cone's
+frame: its origin is the centre of BE, its x and y point along the target's +x and +y.  The chaser
+comes from -x, and the walls open towards -x.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from capture_sim.messages.urdf import chaser_box, target_box
 from capture_sim.scene.parts import Cone, Scene
 from capture_sim.viewing import style
 
-#: Where the parts of q and v stand, see samples.COORDINATES.
+#: Indices in the coordinates q (8,) and velocities v (8,), ordered as samples.COORDINATES: x, y and
+#: angle of chaser and of target, angle of the probe, and distance ``h`` from the hinge to the tip.
 CHASER = (0, 1, 2)
 TARGET = (5, 6, 7)
 THETA_P, H = 3, 4
@@ -31,7 +33,7 @@ _TURNS = 8
 
 
 class Shape(NamedTuple):
-    """A line, or an outline that is filled."""
+    """A line through points, or an outline that may be filled."""
 
     points: np.ndarray  # (n, 2), m
     line: str = style.BLACK  # its colour; empty for no line
@@ -42,38 +44,49 @@ class Shape(NamedTuple):
 
 
 def placed(points: np.ndarray, x: float, y: float, theta: float) -> np.ndarray:
-    """Return points of a body's frame, (n, 2), in the world, m."""
+    """Return points (n, 2), m, transformed from a body's frame to the world frame.
+
+    ``x``, ``y`` (m) and ``theta`` (rad) are the pose of the body in the world frame.
+    """
     c, s = np.cos(theta), np.sin(theta)
     return np.asarray(points @ np.array([[c, s], [-s, c]]) + (x, y))
 
 
 def hinge_in_world(scene: Scene, q: np.ndarray) -> np.ndarray:
-    """Return the hinge in the world, (n, 2), m, from q (n, 8)."""
+    """Return the positions of the probe's hinge in the world frame, (n, 2), m, from q (n, 8)."""
     heading = np.stack([np.cos(q[:, 2]), np.sin(q[:, 2])], axis=-1)
     return np.asarray(q[:, :2] + scene.buffer.hinge_offset * heading)
 
 
 def tip_in_world(scene: Scene, q: np.ndarray) -> np.ndarray:
-    """Return the tip's centre in the world, (n, 2), m, from q (n, 8)."""
+    """Return the positions of the tip's centre in the world frame, (n, 2), m, from q (n, 8)."""
     probe = np.stack([np.cos(q[:, THETA_P]), np.sin(q[:, THETA_P])], axis=-1)
     return np.asarray(hinge_in_world(scene, q) + q[:, H, None] * probe)
 
 
 def wall(cone: Cone, side: int) -> np.ndarray:
-    """Return the wall on side +1 or -1 in the cone's frame: inner edge and lip, (2, 2), m."""
+    """Return the two ends of a wall's face in the cone's frame, (2, 2), m: inner edge, then lip.
+
+    ``side`` is +1 for the wall on the side of +y, and -1 for the wall on the side of -y.
+    """
     inner = np.array([0.0, side * cone.R_c])
     along = np.array([-np.cos(cone.half_angle), side * np.sin(cone.half_angle)])
     return np.stack([inner, inner + cone.L_c * along])
 
 
 def circle(centre: np.ndarray, radius: float, count: int = 73) -> np.ndarray:
-    """Return a closed circle, (count, 2), m."""
+    """Return points on a circle, (count, 2), m; the last is the first again."""
     angle = np.linspace(0.0, 2 * np.pi, count)
     return np.asarray(centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
 
 
 def rail_shapes(scene: Scene) -> list[Shape]:
-    """Return the rail, which guides the chaser's centre over its length and carries the chaser."""
+    """Return the two lines of the rail in the world frame; an empty list if the scene has no rail.
+
+    The rail lies along the chaser's initial pose.  It guides the chaser's centre over
+    ``rail.length`` but is drawn longer, because it carries the whole chaser: at both ends by the
+    distance from the chaser's centre to its rear.
+    """
     if scene.rail is None:
         return []
     start, box = scene.initial.chaser, chaser_box(scene)
@@ -87,9 +100,18 @@ def rail_shapes(scene: Scene) -> list[Shape]:
 def state_shapes(
     scene: Scene, q: np.ndarray, colour: str, *, ghost: bool = False, both: bool = True
 ) -> list[Shape]:
-    """Return the vehicles at the coordinates q (8,), the tip in the run's colour.
+    """Return the vehicles in the world frame at the coordinates q (8,).
 
-    A ghost is dashed and has no fill; ``both`` adds the target to the chaser.
+    Parameters
+    ----------
+    colour
+        Colour that fills the tip, i.e. the colour of the run.
+    ghost
+        True for an outline of the vehicles at another time than the main drawing's: the lines are
+        grey and dashed, nothing is filled, a line from the hinge to the tip's centre replaces the
+        buffer, and the balls that support the vehicles are left out.
+    both
+        True for chaser and target, False for the chaser alone.
     """
     pose = q[list(CHASER)]
     line = style.GREY if ghost else style.BLACK
@@ -120,10 +142,11 @@ def state_shapes(
 
 
 def buffer_shapes(scene: Scene, q: np.ndarray) -> list[Shape]:
-    """Return cylinder, rod, collar and spring of the buffer at the coordinates q (8,).
+    """Return cylinder, rod, spring, collar and hinge pin of the buffer, at the coordinates q (8,).
 
-    The rod slides in the cylinder; the spring between hinge and collar is as long as the stroke
-    leaves it.
+    They are in the world frame.  The rod slides in the cylinder.  The spring reaches from the hinge
+    to the collar, which is fixed to the rod, so the spring is drawn shorter when the probe is
+    pushed in.
     """
     x, y = hinge_in_world(scene, q[None])[0].tolist()
     h, probe = float(q[H]), scene.probe
@@ -157,14 +180,16 @@ def _balls(balls: Iterable[Sequence[float]], pose: np.ndarray) -> list[Shape]:
 
 
 def tip_in_cone(samples: np.ndarray) -> np.ndarray:
-    """Return the tip's centre in the cone's frame, (n, 2), m."""
+    """Return the positions of the tip's centre in the cone's frame, (n, 2), m, at samples (n,)."""
     return np.stack([-samples["tip_axial"], samples["tip_lateral"]], axis=-1)
 
 
 def tip_bound(cone: Cone, tip_radius: float, side: int) -> np.ndarray:
-    """Return where the tip's centre is when the tip just touches a wall, (k, 2), m.
+    """Return the line on which the tip's centre is when the tip just touches a wall, (k, 2), m.
 
-    A line along the wall's face, and an arc round each of its ends.
+    It is in the cone's frame and consists of an arc round the wall's inner edge, a straight line
+    along the wall's face, and an arc round the lip, in this order.  Each arc has ``ARC_POINTS``
+    points.  ``side`` is +1 or -1, as for :func:`wall`.
     """
     inner, lip = wall(cone, side)
     # the face looks to the axis and to the chaser: against side * y, turned by the half-angle
@@ -179,7 +204,11 @@ def tip_bound(cone: Cone, tip_radius: float, side: int) -> np.ndarray:
 
 
 def cone_shapes(scene: Scene) -> dict[str, Shape]:
-    """Return walls, bounds of the tip's centre and capture zone by name, in the cone's frame."""
+    """Return the shapes of the cone in the cone's frame, by name.
+
+    They are the body and the face of each wall, the line on which the tip's centre is when the tip
+    just touches the wall, and the capture zone.
+    """
     cone = scene.cone
     shapes = {}
     for side, (*_, name) in style.WALLS.items():
@@ -195,12 +224,16 @@ def cone_shapes(scene: Scene) -> dict[str, Shape]:
 
 
 def _outwards(cone: Cone, side: int) -> np.ndarray:
-    """Return the direction from a wall's face into its body."""
+    """Return the unit vector from a wall's face into the wall's body, (2,), in the cone's frame."""
     return np.array([np.sin(cone.half_angle), side * np.cos(cone.half_angle)])
 
 
 def wall_name_place(cone: Cone, side: int) -> np.ndarray:
-    """Return where a wall's name stands, (2,), m: where neither legend nor moments are."""
+    """Return the place of a wall's name, (2,), m, in the cone's frame.
+
+    It is beside the wall's body, where the plots have neither a legend nor the list of the instants
+    at which the tip is drawn.
+    """
     share = 0.6 if side > 0 else 0.15
     inner, lip = wall(cone, side)
     middle = (1.0 - share) * inner + share * lip
