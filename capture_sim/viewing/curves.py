@@ -441,10 +441,9 @@ def energy_layers(
 ) -> tuple[np.ndarray, np.ndarray, list[tuple[str, str, np.ndarray]]]:
     """Return the energy put into the bench since the start, and the layers that it is divided into.
 
-    The energy put in is the kinetic energy of the first of the samples (n,), of dtype SAMPLE, and
-    the work of string and thrusters since the start of the run.  So it equals the sum of all layers
-    only if the samples begin at the start.  Of 1200 samples or more, only every second, third, etc.
-    is used.  The result has
+    The energy put in is the sum of all layers at the first of the samples (n,), of dtype SAMPLE,
+    and the work of string and thrusters since then.  Of 1200 samples or more, only every second,
+    third, etc. is used.  The result has
 
     - the times of the samples, (m,), s since the release,
     - the energy put in until each time, (m,), mJ,

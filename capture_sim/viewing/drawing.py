@@ -39,11 +39,12 @@ _PATH, CURVE = 3.2, 2.1  # widths in contact, points
 def draw_trajectory(axes: Axes, shown: Sequence[PlottedRun]) -> None:
     """Draw the cone and the paths of the tip's centre of all runs in the cone's frame, mm.
 
-    If the runs' cones or tip radii differ, each combination is drawn once.  The drawn range is that
-    of the first run's cone.
+    If the runs' cones, tip radii or capture radii differ, each combination is drawn once.  The
+    drawn range is that of the first run's cone.
     """
     scenes = [plotted.scene for plotted in shown]
-    for scene in {(scene.cone, scene.probe.tip_radius): scene for scene in scenes}.values():
+    drawn = {(s.cone, s.probe.tip_radius, s.detector.capture_radius): s for s in scenes}
+    for scene in drawn.values():
         _draw_cone(axes, scene)
     (_draw_thin_paths if are_many(shown) else _draw_paths)(axes, shown)
     across, upwards = frame_bounds(scenes[0])
@@ -69,7 +70,7 @@ def draw_end(axes: Axes, plotted: PlottedRun) -> None:
     text = f"end, {plotted.samples['t'][-1]:.3g} s"
     look: dict[str, Any] = {"marker": "o", "ms": 8, "color": plotted.colour, "mec": style.BLACK}
     if near:
-        axes = _draw_enlarged(axes, plotted, zone)
+        axes = _draw_enlarged(axes, plotted, path[-1])
         axes.plot(0.08, 0.08, transform=axes.transAxes, **look)
         axes.text(0.15, 0.08, text, transform=axes.transAxes, va="center", fontsize=style.SMALL)
     else:
@@ -79,10 +80,11 @@ def draw_end(axes: Axes, plotted: PlottedRun) -> None:
     axes.plot(*path[-1], zorder=8, **look)
 
 
-def _draw_enlarged(axes: Axes, plotted: PlottedRun, zone: float) -> Axes:
+def _draw_enlarged(axes: Axes, plotted: PlottedRun, end: np.ndarray) -> Axes:
     """Draw the surroundings of BE once more, enlarged, in the lower right corner of ``axes``.
 
-    ``zone`` is the capture radius, mm.  The result is the axes of the enlarged drawing.
+    ``end``, (2,), mm, is a place of the tip's centre that it must contain.  The result is the axes
+    of the enlarged drawing.
     """
     right, low = frame_bounds(plotted.scene)[0][1], frame_bounds(plotted.scene)[1][0]
     side = 0.7 * right
@@ -91,7 +93,11 @@ def _draw_enlarged(axes: Axes, plotted: PlottedRun, zone: float) -> Axes:
     draw_shapes(close, cone_shapes(plotted.scene).values(), _MM)
     close.plot(0, 0, marker="+", ms=10, mew=1.8, color=style.ZONE, zorder=4)
     draw_path(close, plotted.scene, plotted.samples, plotted.holds, plotted.colour)
-    close.set(xlim=(-3.2 * zone, 1.2 * zone), ylim=(-2.2 * zone, 2.2 * zone), xticks=[], yticks=[])
+    zone = plotted.scene.detector.capture_radius * _MM
+    size, edge = 4.4 * zone, 0.4 * zone
+    # moved where the end would be outside of it
+    x, y = np.clip((-3.2 * zone, -2.2 * zone), end + edge - size, end - edge)
+    close.set(xlim=(x, x + size), ylim=(y, y + size), xticks=[], yticks=[])
     close.set_title("near BE, enlarged", fontsize=style.SMALL)
     axes.indicate_inset_zoom(close, edgecolor=style.GREY)
     return close

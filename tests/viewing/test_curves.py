@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 
 import capture_sim
 from capture_sim.dynamics.samples import EventKind
@@ -28,6 +29,7 @@ from capture_sim.viewing.curves import (
     plotted_runs,
     split,
 )
+from capture_sim.viewing.drawing import _draw_enlarged, draw_trajectory
 from capture_sim.viewing.figures import load_stroke, snapshot_times, state_at
 from capture_sim.viewing.plots import key_moments
 from capture_sim.viewing.shapes import (
@@ -172,6 +174,28 @@ def test_layers_of_energy_in_a_window_are_the_energy_put_in(runs):
         total = np.sum([layer for *_, layer in layers], axis=0)
         assert total == pytest.approx(put_in, abs=len(LAYERS) * 1e-3 * put_in.max())
         assert put_in == pytest.approx(np.interp(t, whole_t, whole), rel=1e-3)
+
+
+@pytest.mark.parametrize("end", [(3.0, 0.0), (-3.3, 1.0), (2.0, -2.2), (-1.0, 0.5)])
+def test_the_end_is_within_the_enlarged_drawing(end, runs):
+    """It goes as far behind BE as an end that counts as near; ``end`` in capture radii."""
+    [plotted] = plotted_runs(runs[0])
+    zone = runs[0].scene.detector.capture_radius * 1e3
+    axes = Figure().subplots()
+    close = _draw_enlarged(axes, plotted, np.array(end) * zone)
+    for (low, high), value in zip((close.get_xlim(), close.get_ylim()), end, strict=True):
+        assert low + 0.3 * zone < value * zone < high - 0.3 * zone
+        assert low <= 0.0 <= high  # the centre of BE
+        assert high - low == pytest.approx(4.4 * zone)
+
+
+def test_each_capture_zone_is_drawn(runs):
+    wide = capture_sim.simulate("tilt_0", {"detector.capture_radius": 0.01}, t_end=0.1)
+    narrow = capture_sim.simulate("tilt_0", t_end=0.1)
+    one, both = (Figure().subplots() for _ in range(2))
+    draw_trajectory(one, plotted_runs([narrow, narrow]))
+    draw_trajectory(both, plotted_runs([narrow, wide]))
+    assert len(both.get_children()) > len(one.get_children())
 
 
 # many runs
