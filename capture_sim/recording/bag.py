@@ -1,4 +1,4 @@
-"""A recording of one run: its topics, its origin, its clock, and the parts that it lacks."""
+"""A recording: its topics, the run that it contains, its clock, and what is missing from it."""
 
 from __future__ import annotations
 
@@ -72,28 +72,33 @@ def read_bag(
     remaps: Mapping[str, str] | None = None,
     release: float | None = None,
 ) -> Bag:
-    """Read a recording, a file or a bag's folder; checksums are checked.
+    """Read a recording from a file or from a bag's folder, and check its checksums.
 
-    It may be a bag of a real bench with the same topics, without a scene, or with several runs:
-    a topic that is not in it is empty.  A truncated or damaged file is read up to the damage, and
-    marked by ``complete`` and ``damage``.  Messages are sorted by their log times.
+    The recording may come from this package or from a real bench with the same topics.  It may
+    lack a scene, and it may contain several runs.  A topic without messages gives empty results.
+    A truncated or damaged file is read up to the damage; :attr:`Bag.damage` then has a line for
+    it and :attr:`Bag.complete` is False.  The messages of each topic are sorted by log time.
 
     Parameters
     ----------
     path
         The file or folder.
     ratio
-        Upper limit of the unpacked size, as a multiple of the file's size.
+        Upper limit of the unpacked size, as a multiple of the file's size.  A file may unpack to
+        64 MiB in any case.
     remaps
-        Recorded names of topics by the bench's names, e.g.
-        ``{"chaser/odom": "/mocap/rb1/odom"}``, in addition to those that the recorder has noted.
+        The topics that were recorded under a name other than the bench's: maps the bench's name to
+        the recorded name, e.g. ``{"chaser/odom": "/mocap/rb1/odom"}``.  Names that the recorder
+        itself has noted in the file need not be given.
     release
-        Release time, s after the first pose; None to find it, see :attr:`Bag.clock`.
+        Release time, s after the first pose; None to find it, see :attr:`Bag.clock`, which raises
+        RecordingError if this time is outside of the recording.
 
     Raises
     ------
     RecordingError
-        The file cannot be read or is of another kind, or a topic of ``remaps`` is not in it.
+        The file cannot be read or is not a recording, or a topic of ``remaps`` is in it under
+        neither name or under both names.
     """
     path = Path(path)
     contents = read_contents(path, ratio)
@@ -105,7 +110,12 @@ def read_bag(
 
 
 def remap(contents: Contents, remaps: Mapping[str, str]) -> None:
-    """Give topics the bench's names, by the recorder's notes and ``remaps``."""
+    """Rename topics in ``contents``, in place, from their recorded names to the bench's names.
+
+    The names come from the recorder's notes in the file and from ``remaps``, which maps the bench's
+    names to the recorded names.  RecordingError if a topic of ``remaps`` is in the file under
+    neither name, or if a topic is in it under both names.
+    """
     noted = contents.metadata.get(RUN_METADATA, {}).get(REMAPS, "").splitlines()
     pairs = [line.partition(":=")[::2] for line in noted]
     rename_topics(contents, {name: topic for name, topic in pairs if topic in contents.types})
@@ -114,7 +124,10 @@ def remap(contents: Contents, remaps: Mapping[str, str]) -> None:
 
 
 def remap_of(text: str) -> tuple[str, str]:
-    """Return the bench's name and the recorded one of ``TOPIC:=RECORDED_TOPIC``."""
+    """Return the bench's name and the recorded name from a text ``TOPIC:=RECORDED_TOPIC``.
+
+    RecordingError if the text has another form, or if TOPIC is no topic of the bench.
+    """
     name, separator, recorded_name = text.partition(":=")
     if not separator or not recorded_name.strip("/") or topic_named(name) is None:
         raise RecordingError(
@@ -124,7 +137,11 @@ def remap_of(text: str) -> tuple[str, str]:
 
 
 class Bag(RecordedTopics):
-    """A recording.  Topics are decoded at their first use; times are s since the release."""
+    """A recording: its messages, and what is known of its run.
+
+    Each topic is decoded when it is first used.  All times are s since the release, unless stated
+    otherwise.  RecordingError is raised where a topic or a value in the file cannot be read.
+    """
 
     def __init__(self, path: Path, contents: Contents, release: float | None = None) -> None:
         super().__init__(path, contents)
@@ -139,12 +156,17 @@ class Bag(RecordedTopics):
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """One line for everything that is wrong with the recording; empty when complete."""
+        """A line for each damaged file and for each loss; empty for a complete recording."""
         return tuple(map(one_line, (*self.damage, *self.missing)))
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """One line for all that is left out or odd, and one for a recording by a newer version."""
+        """A line for each topic or file that is not used, in whole or in part, and why.
+
+        Further lines report a recording that a newer version of this package has made, and what is
+        irregular in data that is used, e.g. log times that jump.  Empty if there is nothing to
+        report.
+        """
         newer = [] if not self.newer_version else [newer_line(self.newer_version)]
         reasons = dict(self._contents.left_out)
         for name, messages in self._contents.messages.items():
@@ -156,12 +178,17 @@ class Bag(RecordedTopics):
 
     @property
     def newer_version(self) -> str:
-        """Version of this package that made the recording, if it is above ours; else empty."""
+        """Version of this package that made the recording, if it is newer than this; else empty."""
         return newer_version(self.metadata.get("software", "").split("\n"))
 
     @cached_property
     def missing(self) -> tuple[str, ...]:
-        """A line for each loss and early end, by sequence numbers and reported counts."""
+        """A line for each topic that lost messages, and for each node that ended the run early.
+
+        Losses are found by the sequence numbers of the messages, and by the numbers of messages
+        that the nodes report at the end of a run (StreamCounts).  The losses of a recording with
+        several runs cannot be counted; its only line states this.
+        """
         if len(self.run_ids) > 1:
             return (f"contains {len(self.run_ids)} runs: lost messages cannot be counted",)
         # when the recording was cut, their counts are missing too
@@ -169,7 +196,12 @@ class Bag(RecordedTopics):
 
     @property
     def cut(self) -> bool:
-        """True if the end of the run is missing: ended early, or not all recorded."""
+        """True if the end of the run is missing.
+
+        For a simulated run: the simulator's report that it completed the run is not recorded,
+        because the run was ended early or the recording stopped before.  For a real bench: a file
+        is damaged.
+        """
         if SIMULATOR in self._publishers:
             return is_cut(self)
         return bool(self.damage)
@@ -178,9 +210,10 @@ class Bag(RecordedTopics):
     def has_end(self) -> bool:
         """True if the end of the run is recorded.
 
-        That is the simulator's report, also of a run that it ended early; of a real bench, in an
-        undamaged file, a final status of the detector, the counts that a node sends at the end, or
-        a chaser that is held again.
+        For a simulated run this is the simulator's report at the end (StreamCounts), also for a run
+        that it ended early.  A real bench has no such report.  Its end is recorded if no file is
+        damaged and one of these is true: the detector's last status is final, a node has reported
+        at the end how many messages it sent, or the chaser is held at the end.
         """
         if SIMULATOR in self._publishers:
             return SIMULATOR in self.columns_if_typed(STREAM_COUNTS).get("publisher", ())
@@ -191,7 +224,7 @@ class Bag(RecordedTopics):
 
     @property
     def _is_held(self) -> bool:
-        """True if the last message to the holding device holds the chaser."""
+        """True if the last message on ``launcher/hold`` commands the release device to hold."""
         if not self.has(HOLD) or self.types.get(f"/{HOLD}") != "std_msgs/msg/Bool":
             return False
         return bool(self.columns(HOLD)["data"][-1])
@@ -204,29 +237,39 @@ class Bag(RecordedTopics):
 
     @property
     def metadata(self) -> dict[str, str]:
-        """Metadata of the run: run_id, name, scene_sha256, software, rates."""
+        """Metadata of the run, by name, as text.
+
+        The names are run_id, name, scene_sha256, software, state_rate and rate (Hz), publishers,
+        and others that the recorder wrote.  Software and publishers have one line for each.  A
+        value from the RunInfo message replaces that of the file's metadata record.  Empty for a
+        recording with neither.
+        """
         stored = self._contents.metadata.get(RUN_METADATA, {})
         # unlike a metadata record, a message has a checksum in every file
         return {**stored, **({} if self.announced is None else describing(self.announced))}
 
     @property
     def name(self) -> str:
-        """Name of the experiment; of the file if that has none."""
+        """Name of the experiment; if none is recorded, the file's or folder's name, no suffix."""
         return self.metadata.get("name") or stem_of(self.path)
 
     @property
     def run_id(self) -> str:
-        """Unique id of the run; empty if the file has none."""
+        """Unique id of the run; empty if none is recorded."""
         return self.metadata.get("run_id", "")
 
     @property
     def run_ids(self) -> tuple[str, ...]:
-        """Ids of the announced runs, in order."""
+        """Ids of the runs that RunInfo messages announce, each once, in the order of recording."""
         return tuple(dict.fromkeys(self.columns_if_typed(RUN_INFO).get("run_id", ())))
 
     @cached_property
     def announced(self) -> RunDescription | None:
-        """The announcement, which `ros2 bag record` keeps; None unless it is of one run."""
+        """Description of the run in its RunInfo message; None unless exactly one run is announced.
+
+        A bag of ``ros2 bag record`` has this message too, while it lacks the metadata record of
+        this package's recorder.  MessageError if a value of the message is invalid.
+        """
         if len(self.run_ids) != 1:
             return None
         fields = {name: column[0] for name, column in self.columns(RUN_INFO).items()}
@@ -234,12 +277,12 @@ class Bag(RecordedTopics):
 
     @property
     def has_scene(self) -> bool:
-        """True if the file contains the scene that made the run."""
+        """True if the recording contains the scene of its run."""
         return SCENE_ATTACHMENT in self._contents.attachments or self.announced is not None
 
     @property
     def scene_text(self) -> str:
-        """The resolved scene, YAML; RecordingError if the file contains none."""
+        """Text of the run's scene, YAML with all values; RecordingError if none is recorded."""
         if self.announced is not None:
             return self.announced.scene
         if SCENE_ATTACHMENT in self._contents.attachments:
@@ -251,15 +294,20 @@ class Bag(RecordedTopics):
 
     @cached_property
     def scene(self) -> Scene:
-        """The scene that made the run.
+        """The scene of the run.
 
-        RecordingError if the file contains none, SceneError if it is not one of this version.
+        RecordingError if none is recorded, SceneError if it is invalid in this version.  In a
+        recording by a newer version, fields that this version does not know are ignored.
         """
         return load_scene_text(self.scene_text, only_known=bool(self.newer_version))
 
     @property
     def is_simulated(self) -> bool:
-        """True if a simulator sent the run: one clock stamps all of it."""
+        """True if the run was simulated; the same clock then stamps all of its messages.
+
+        Evidence of it is that the RunInfo message names the simulator as a publisher, or that
+        ``bench/state`` is recorded.
+        """
         is_announced = self.announced is not None and SIMULATOR in self.announced.publishers
         return is_announced or self.holds(BENCH_STATE)
 
@@ -267,12 +315,20 @@ class Bag(RecordedTopics):
 
     @cached_property
     def clock(self) -> Clock:
-        """The release, and the clocks by which times count from it.
+        """The time of the release on each clock of the recording.
 
-        The release is the first of these that exists: the given release; that of a simulated run;
-        the launcher's command, by its stamp or by its arrival; the announcement of the trial; the
-        first pose; the first message.  RecordingError if the given release is not between the first
-        and the last pose.
+        The release is the first of these that exists:
+
+        1. the release time given to :func:`read_bag`;
+        2. for a simulated run, the stamp of 1 s;
+        3. the launcher's command to release;
+        4. the announcement of the trial (RunInfo);
+        5. the first pose;
+        6. the first message.
+
+        For 3 and 4 the stamp of the message counts if it is within 1 s of the message's arrival, or
+        if there are no poses; else the arrival counts, because another clock made the stamp.
+        RecordingError if the given release is not between the first and the last pose.
         """
         motion = (CHASER_POSE, CHASER_ODOMETRY, TARGET_POSE, TARGET_ODOMETRY, BENCH_STATE)
         release = self._logged(LAUNCH_COMMAND)
@@ -290,14 +346,17 @@ class Bag(RecordedTopics):
         )
 
     def _logged(self, topic: Topic) -> Logged | None:
-        """Return stamps and log times of a topic; None if it has no readable message."""
+        """Return stamps and log times of a topic's messages; None if none can be read."""
         with suppress(RecordingError):  # reported where the messages themselves are used
             if fields := self.columns_if_typed(topic):
                 return Logged(stamps_of(fields), self.log_times(topic))
         return None
 
     def times(self, topic: str | Topic) -> np.ndarray:
-        """Return when a topic's messages were stamped, else logged, (n,), s since the release."""
+        """Return the times of a topic's messages, (n,), s since the release.
+
+        These are the times of their stamps, or of logging if the message type has no stamp.
+        """
         fields = self.columns(topic)
         if not has_stamps(fields):
             return self.clock.since_by_log(self.log_times(topic))
@@ -309,10 +368,11 @@ class Bag(RecordedTopics):
         return self.clock.since_by_trial(stamps_of(fields))
 
     def series(self, topic: Topic, values: Callable[[Columns], np.ndarray]) -> Series:
-        """Return the series of a topic's stamped messages.
+        """Return values of a topic's messages as a series, sorted by the times of their stamps.
 
-        ``values`` computes (n,) or (n, m) values from the columns of n messages.  Messages that
-        cannot be decoded are left out; MessageError if none can be decoded.
+        ``values`` computes (n,) or (n, m) values from the columns of n messages.  The topic must
+        have messages, of a type with a stamp.  Messages that cannot be decoded, and values that are
+        not finite, are left out.  MessageError if no message can be decoded.
         """
         columns, log_times = self.readable(topic)
         return self.in_order(stamps_of(columns), values(columns), log_times)
@@ -324,9 +384,11 @@ class Bag(RecordedTopics):
         log_times: np.ndarray,
         angle: int | None = None,
     ) -> Series:
-        """Return messages with stamps and log times, (n,), ns, as a series.
+        """Return the values of n messages as a series, sorted by the times of their stamps.
 
-        ``angle`` is the column of an angle, which is unwrapped.
+        ``stamps`` (n,), by the clock of the poses, and ``log_times`` (n,) are in ns; ``values`` is
+        (n,) or (n, m).  Values that are not finite are left out; of messages with one stamp only
+        the first counts.  ``angle`` is the column of an angle, which is unwrapped; None for none.
         """
         times = self.clock.since(stamps), values, self.clock.since_by_log(log_times)
         return in_order(*times, angle)
@@ -335,51 +397,70 @@ class Bag(RecordedTopics):
 
     @cached_property
     def samples(self) -> np.ndarray:
-        """The recorded BenchStates, (n,) of dtype SAMPLE; bit-identical if t = 0 at 1 s."""
+        """The recorded BenchStates, (n,) of dtype SAMPLE; empty if there are none.
+
+        The values are bit-identical to the simulated samples; so are the times if the release is at
+        a stamp of 1 s, where the simulator puts it.
+        """
         return samples_in(self, self.clock.t_release)
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
-        """The recorded BenchEvents, in order."""
+        """The recorded BenchEvents, in order of recording; empty if there are none.
+
+        RecordingError for a kind of event that this version does not know.  In a recording by a
+        newer version, such events are left out.
+        """
         return events_in(self, self.clock.t_release, only_known=bool(self.newer_version))
 
     @cached_property
     def touches(self) -> np.ndarray:
-        """The touches that ended, (n,) of dtype TOUCH, in the order in which they ended."""
+        """The touches in the recorded events, (n,) of dtype TOUCH, in the order of their ends.
+
+        ``rate_ratio`` is NaN, because no message contains it.
+        """
         ended = [event.touch for event in self.events if event.touch is not None]
         return np.array(ended, dtype=TOUCH)
 
     @cached_property
     def trace(self) -> np.ndarray:
-        """The contact at the integrator's own steps, (n,) of dtype TRACE.
+        """The recorded state of the contact at each step of the integrator, (n,) of dtype TRACE.
 
-        Empty unless the scene requests it (``run.trace``).
+        Empty unless the scene of the run requested it (``run.trace``).
         """
         return trace_in(self, self.clock.t_release)
 
     @cached_property
     def statuses(self) -> tuple[CaptureStatus, ...]:
-        """The detector's statuses, in order."""
+        """The recorded statuses of the live detector, in order; empty if there are none."""
         return statuses_in(self, self.clock)
 
     @cached_property
     def criteria(self) -> Detector | None:
-        """The detector's criteria; None if not recorded, SceneError if a value is invalid."""
+        """Criteria of the live detector; None if not recorded, SceneError if a value is invalid."""
         return criteria_in(self)
 
     @property
     def verdict(self) -> str | None:
-        """The detector's last state; None if not recorded."""
+        """State in the last status of the live detector, e.g. captured; None if not recorded."""
         return self.statuses[-1].state.label if self.statuses else None
 
     @property
     def wall_time(self) -> float | None:
-        """Duration of the run, s of wall time; None if the recording ended before it."""
+        """Duration of the run in wall time, s; None if it is not recorded.
+
+        It is in metadata at the end of the file, so a recording that ended early lacks it, and
+        damage before that end makes it unusable (None).
+        """
         return self._known_at_end("wall_time", _seconds, "must be a number of seconds >= 0")
 
     @property
     def extremes(self) -> Extremes | None:
-        """Strokes, torsion and forces between the samples too; None if not recorded."""
+        """Extremes of strokes, torsion and forces, located between the samples too.
+
+        None if not recorded: they are in the same metadata as :attr:`wall_time`.  Normal forces
+        that an older recording lacks are taken from the touches in its events.
+        """
         extremes = self._known_at_end("extremes", extremes_from_text, "not as written")
         if extremes is None or not self.holds(BENCH_EVENT):
             return extremes

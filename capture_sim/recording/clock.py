@@ -1,4 +1,4 @@
-"""The clock of a recording: when the launcher let go, and times since then."""
+"""The time of the release on each clock of a recording, and times since the release."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from capture_sim.run.origin import Release
 
 #: A release whose stamp is further than this from its arrival, ns, is stamped by another clock.
 _MAX_STAMP_DELAY = 1_000_000_000
-#: Number of poses whose median relates stamps to log times.
+#: Number of poses over which the difference of stamp and log time is averaged, by the median.
 _N_OFFSETS = 20
 
 
@@ -25,7 +25,11 @@ class Logged(NamedTuple):
 
 
 class Clock(NamedTuple):
-    """The release, t = 0, on every clock that a recording has times of."""
+    """The time of the release, t = 0, on each clock of a recording.
+
+    A recording has up to three clocks: that of the poses (of the simulator or the motion capture),
+    that of the launcher and the trial's announcement, and that of the recorder (log times).
+    """
 
     origin: Release
     release: int  # stamp by the clock of the poses, ns
@@ -35,15 +39,16 @@ class Clock(NamedTuple):
 
     @property
     def t_release(self) -> float:
-        """Time of the release in the recorder's samples, events and statuses, s.
+        """Value of the recorded field ``t`` at the release, s.
 
-        Their times count from a stamp of 1 s.
+        This field, in messages with samples, events and the contact's trace, counts from a stamp of
+        1 s.  It is thus 0 if the release has the stamp 1 s, as in a simulated run.
         """
         return stamp_seconds(self.release)
 
     @property
     def after_first_pose(self) -> float:
-        """Time of the release, s after the first pose."""
+        """Time of the release, s after the first pose; 0 without poses."""
         return (self.release - self.first_pose) / 1e9
 
     def since(self, stamps: np.ndarray) -> np.ndarray:
@@ -51,9 +56,11 @@ class Clock(NamedTuple):
         return (stamps - self.release) / 1e9
 
     def since_by_trial(self, stamps: np.ndarray) -> np.ndarray:
-        """Return stamps as times since the release, s; the stamps (ns) are by one of two clocks.
+        """Return stamps of a node on a real bench, ns, as times since the release, s.
 
-        A node stamps by the trial's clock until it knows the clock of the bench's poses.
+        A node uses the clock of the launcher and the announcement until it knows the clock of the
+        poses, so a topic may have stamps by both.  Each stamp counts by the clock on which it is
+        nearer to the release.
         """
         is_trial = np.abs(stamps - self.trial_release) < np.abs(stamps - self.release)
         return (stamps - np.where(is_trial, self.trial_release, self.release)) / 1e9
@@ -64,12 +71,12 @@ class Clock(NamedTuple):
 
 
 def has_stamps(columns: Mapping[str, np.ndarray]) -> bool:
-    """Return True if a topic's messages are stamped."""
+    """Return True if a topic's messages have a stamp: in a header, or a message of ``/clock``."""
     return "clock.sec" in columns or "header.stamp.sec" in columns
 
 
 def stamps_of(columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the stamps of a topic's messages, (n,) int64, ns."""
+    """Return the stamps of a topic's messages, (n,) int64, ns; see :func:`has_stamps`."""
     path = "clock" if "clock.sec" in columns else "header.stamp"
     stamps = np.asarray(columns[f"{path}.sec"]).astype(np.int64) * 1_000_000_000
     return stamps + np.asarray(columns[f"{path}.nanosec"]).astype(np.int64)
@@ -83,25 +90,26 @@ def find_clock(
     is_simulated: bool,
     given_release: float | None = None,
 ) -> Clock:
-    """Find the release of a recording.
+    """Find the release of a recording, see :attr:`capture_sim.recording.bag.Bag.clock`.
 
     Parameters
     ----------
     poses
-        The poses of a vehicle; None if there are none.
+        Messages with poses, of one topic; None if there are none.
     release
-        The releases, else the announcements of the trial; None if there are none.
+        The launcher's commands to release; if there are none, the announcements of the trial (the
+        first message counts); None if there are neither.
     begin
-        First log time of all messages, ns.
+        Earliest log time of all messages, ns.
     is_simulated
-        True if a simulator's run is recorded: one clock stamps everything.
+        True if a simulated run is recorded: the same clock then stamps all messages.
     given_release
         Release time, s after the first pose; None to find it.
 
     Raises
     ------
     RecordingError
-        The given time is not between the first and the last pose.
+        The given time is not between the first and the last pose, or there are no poses.
     """
     trial_release = EPOCH_NS if release is None else int(release.stamps[0])
     arrival = begin if release is None else int(release.log_times[0])
@@ -125,16 +133,20 @@ def find_clock(
 
 
 def _stamp_offset(poses: Logged, distances: np.ndarray) -> int:
-    """Return the stamps less the log times of the nearest poses, ns.
+    """Return the median of stamp minus log time, ns, over the poses nearest to the release.
 
-    A bench's clock may run slow or fast, so that poses far from the release do not count.
+    ``distances`` are the times of the poses from the release, (n,), ns.  Poses far from the release
+    do not count, because the clock of a bench may run slow or fast.
     """
     nearest = np.argsort(np.abs(distances), kind="stable")[:_N_OFFSETS]
     return int(np.median((poses.stamps - poses.log_times)[nearest]))
 
 
 def _after_first_pose(poses: Logged | None, t: float) -> int:
-    """Return the stamp of a time after the first pose, s; RecordingError if it is outside."""
+    """Return the stamp, ns, of a time t after the first pose, s.
+
+    RecordingError if it is not between the first and the last pose, or if there are no poses.
+    """
     if poses is None:
         raise RecordingError(
             f"release = {t:g} s: counts from the first pose, but no pose is recorded"

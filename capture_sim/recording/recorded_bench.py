@@ -1,4 +1,8 @@
-"""Recorded data of the suite's nodes: samples, events, trace, statuses and criteria."""
+"""What the suite's nodes recorded: samples, events, contact trace, statuses and criteria.
+
+In all functions, ``t_release`` is the value of the recorded field ``t`` at the release, s; it is 0
+in a simulated run.  Returned times count from the release, s.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +41,11 @@ _ENDED = (EventKind.LIFT_OFF.label, EventKind.END.label)
 
 
 def samples_in(topics: RecordedTopics, t_release: float) -> np.ndarray:
-    """Return the recorded BenchStates, (n,) of dtype SAMPLE; bit-identical if t = 0 at 1 s."""
+    """Return the recorded BenchStates, (n,) of dtype SAMPLE, read-only; (0,) if there are none.
+
+    The values are bit-identical to those of the simulation; so are the times if ``t_release`` is 0.
+    RecordingError if a state has a number of a phase that this version does not know.
+    """
     recorded = topics.columns(BENCH_STATE)
     samples = np.zeros(len(recorded.get("t", ())), dtype=SAMPLE)
     if len(samples):
@@ -50,9 +58,10 @@ def samples_in(topics: RecordedTopics, t_release: float) -> np.ndarray:
 
 
 def events_in(topics: RecordedTopics, t_release: float, *, only_known: bool) -> tuple[Event, ...]:
-    """Return the recorded BenchEvents, in order.
+    """Return the recorded BenchEvents, in order of recording; empty if there are none.
 
-    ``only_known`` leaves out the kinds that this version does not know; else RecordingError.
+    If an event is of a kind that this version does not know, it is left out with ``only_known``;
+    otherwise RecordingError is raised.
     """
     recorded = topics.columns(BENCH_EVENT)
     kinds = {kind.label: kind for kind in EventKind}
@@ -76,9 +85,9 @@ def events_in(topics: RecordedTopics, t_release: float, *, only_known: bool) -> 
 
 
 def trace_in(topics: RecordedTopics, t_release: float) -> np.ndarray:
-    """Return the contact at the integrator's own steps, (n,) of dtype TRACE.
+    """Return the state of the contact at the integrator's steps, (n,) of dtype TRACE, read-only.
 
-    Empty unless the scene requests it (``run.trace``).
+    (0,) if no trace is recorded: the scene of the run must request it (``run.trace``).
     """
     recorded = topics.columns(CONTACT_TRACE.name)
     counts = [len(t) for t in recorded.get("t", ())]
@@ -91,7 +100,11 @@ def trace_in(topics: RecordedTopics, t_release: float) -> np.ndarray:
 
 
 def statuses_in(topics: RecordedTopics, clock: Clock) -> tuple[CaptureStatus, ...]:
-    """Return the detector's statuses, in order."""
+    """Return the recorded statuses of the live detector, in order; empty if there are none.
+
+    Only the last one has the text ``not_used``, on the measurements that were not used in the run.
+    RecordingError if a status has a number of a state that this version does not know.
+    """
     recorded = topics.columns(CAPTURE_STATUS)
     if not recorded:
         return ()
@@ -107,7 +120,10 @@ def statuses_in(topics: RecordedTopics, clock: Clock) -> tuple[CaptureStatus, ..
 
 
 def criteria_in(topics: RecordedTopics) -> Detector | None:
-    """Return the detector's criteria; None if not recorded, SceneError if a value is invalid."""
+    """Return the live detector's criteria, those of the last message; None if there is none.
+
+    SceneError if a value is invalid.
+    """
     recorded = topics.columns(CAPTURE_CRITERIA)
     if not recorded:
         return None
@@ -125,9 +141,9 @@ def _check_numbers(
 
 
 def _rejected_in(recorded: Columns) -> str:
-    """Return the numbers of measurements that were not used until the last status, as a text.
+    """Return how many measurements were not used until the last status, and why, as a text.
 
-    Empty for an older recording, which has none.
+    Empty if all were used, or if an older version recorded the statuses without these numbers.
     """
     counts = Counts()
     for source in Source:
@@ -138,7 +154,7 @@ def _rejected_in(recorded: Columns) -> str:
 
 
 def _touch(recorded: Columns, i: int, t_release: float) -> np.void | None:
-    """Return the touch that event i ended, times since the release; None if it ended none."""
+    """Return the touch that event number i ended, dtype TOUCH; None if the event ended none."""
     if recorded["kind"][i] not in _ENDED or recorded["wall"][i] == 0:
         return None
     touch: np.void = np.zeros(1, dtype=TOUCH)[0]

@@ -1,4 +1,4 @@
-"""Data read from one file of a recording: definitions, messages, and its damaged places."""
+"""Data read from one file of a recording: definitions, messages, and where the file is damaged."""
 
 from __future__ import annotations
 
@@ -25,7 +25,11 @@ _FIRST_BYTES = frozenset(magic[:1] for magic in MAGICS)
 
 
 class RecordContents(NamedTuple):
-    """Contents of one record of the data section; a chunk contains several records."""
+    """Contents of one record of a file's data section; those of a chunk are of all its records.
+
+    A .db3 file has no records: the definition of each of its topics, and each batch of its
+    messages, is given as the contents of one.
+    """
 
     entries: Sequence[Schema | Channel | Attachment | Metadata]
     messages: Sequence[StoredMessage] = ()
@@ -52,7 +56,7 @@ class Damage(NamedTuple):
 
 
 class Usable(NamedTuple):
-    """The messages of a record that can be used."""
+    """The messages of a record, divided into those that can be used and those that cannot."""
 
     messages: Sequence[StoredMessage]
     times: Sequence[int]  # their log times, ns
@@ -61,9 +65,11 @@ class Usable(NamedTuple):
 
 
 def usable(messages: Sequence[StoredMessage], limit: int) -> Usable:
-    """Return messages unpacked to at most ``limit`` bytes; those that cannot be used are rejected.
+    """Return the messages that can be used, compressed ones unpacked, and reject the others.
 
-    ValueError if they unpack to more.
+    A message cannot be used if its log time is not within ROS's clock or its compression is
+    damaged.  There must be at least one message.  ValueError if the compressed messages unpack to
+    more than ``limit`` bytes in all; messages that were not compressed do not count.
     """
     times = [message[1] for message in messages]
     are_plain = _FIRST_BYTES.isdisjoint([message[2][:1] for message in messages])

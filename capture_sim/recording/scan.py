@@ -1,4 +1,4 @@
-"""The records of a recording's file up to the first damage, checked, and unpacked in bounds."""
+"""Reads the records of a recording's file up to its first damage, and limits what it unpacks to."""
 
 from __future__ import annotations
 
@@ -68,11 +68,13 @@ _INCOMPLETE = (
 
 
 def scan(path: Path, ratio: float) -> Iterator[RecordContents | Damage]:
-    """Yield the contents of a recording's file; last its damage, if it has any.
+    """Yield the contents of a recording's file, record by record; last its damage, if it has any.
 
-    It may be an MCAP file or the .db3 file of a bag, each also compressed by zstd or lz4.
-    ``ratio`` is how many times its size the file may unpack to.  RecordingError if the file cannot
-    be read or is of another kind.
+    The file may be an MCAP file or the .db3 file of a bag, each also compressed by zstd or lz4.  It
+    may unpack to ``ratio`` times its size, or to MIN_UNPACKED_LIMIT (64 MiB) if that is more; each
+    message counts MESSAGE_COST bytes in addition.  More counts as damage: reading ends there.
+    RecordingError, at the first ``next``, if the file cannot be opened, is empty or is of another
+    kind; also later, if it cannot be read further.
     """
     try:
         # without opening a file without a size: a pipe would block
@@ -107,7 +109,11 @@ def _contents_of_compressed(
 def _contents_of_plain(
     file: IO[bytes], path: Path, named: Path, size: int, limit: int, reason: str = ""
 ) -> Iterator[RecordContents | Damage]:
-    """Yield the contents of a file that is not compressed; errors name it ``named``."""
+    """Yield the contents of a file that is not compressed, or no longer.
+
+    Errors name it ``named``: if it was compressed, ``path`` is that of a temporary file.
+    ``reason`` is why it was not unpacked to its end, empty if it was or was not compressed.
+    """
     file.seek(0)
     head = file.read(_LONGEST_MAGIC)
     file.seek(0)
@@ -120,7 +126,11 @@ def _contents_of_plain(
 
 
 def _other_kind(head: bytes, path: Path, reason: str) -> str:
-    """Return a file's kind by its first bytes, and a tool that converts it; empty if unknown."""
+    """Return what an error adds on a file that is no recording: ``": "`` and its kind, or empty.
+
+    The kind is told by the first bytes, ``head``, with a tool that converts the file; if it is
+    unknown, the text is empty.  If the file could not be unpacked, ``reason`` is added instead.
+    """
     if reason:
         return f": {reason}"
     if head.startswith(_ROS_1):
@@ -132,9 +142,11 @@ def _other_kind(head: bytes, path: Path, reason: str) -> str:
 
 
 def head_metadata(path: Path) -> dict[str, Mapping[str, str]]:
-    """Return the metadata records that precede a file's first message, by name.
+    """Return the metadata records that precede a file's first usable message, by name.
 
-    A file that is no MCAP file has none.
+    No error is raised: the result is empty for a file that is missing, cannot be read or is no
+    recording, and for a .db3 file.  For a damaged file it has the records before the damage.  Of
+    several records of one name, the last is returned.
     """
     found: dict[str, Mapping[str, str]] = {}
     with suppress(Exception):  # whatever it is, it is no recording
@@ -185,7 +197,10 @@ def _contents_of_file(
 
 
 def _contents_of_record(record: McapRecord, limit: int) -> RecordContents:
-    """Return a record's contents; at most ``limit`` bytes are unpacked."""
+    """Return a record's contents, without any if it is of a kind that is not used.
+
+    ValueError if a chunk unpacks to more than ``limit`` bytes or is damaged.
+    """
     if isinstance(record, Chunk):
         return _records_in(_unpacked(record, limit))
     if isinstance(record, Message):
@@ -196,7 +211,11 @@ def _contents_of_record(record: McapRecord, limit: int) -> RecordContents:
 
 
 def _unpacked(chunk: Chunk, limit: int) -> bytes:
-    """Return the records of a chunk; its size and checksum are right."""
+    """Return the serialised records of a chunk, unpacked and checked.
+
+    ValueError if they have more than ``limit`` bytes, another size or checksum than the chunk
+    states (a checksum of 0 is not checked), an unknown compression, or a damaged one.
+    """
     size = chunk.uncompressed_size
     if size > limit:
         raise ValueError(f"a chunk unpacks to {size} bytes, more than is accepted for the file")
@@ -214,7 +233,10 @@ def _unpacked(chunk: Chunk, limit: int) -> bytes:
 
 
 def _records_in(data: bytes) -> RecordContents:
-    """Return definitions and messages of a chunk."""
+    """Return the definitions and messages in a chunk's serialised records; skip other records.
+
+    EndOfFile or struct.error if the last record is incomplete.
+    """
     definitions: list[Schema | Channel] = []
     messages: list[StoredMessage] = []
     position, end, size = 0, len(data), _MESSAGE.size
@@ -246,7 +268,10 @@ def _check(messages: Sequence[StoredMessage], channels: set[int]) -> None:
 
 
 def _written(file: IO[bytes], file_size: int) -> int | None:
-    """Return how many messages the index at a file's end reports; None without one."""
+    """Return how many messages the index at a file's end reports.
+
+    None if the file has no index, or a damaged one, or one without statistics.
+    """
     with suppress(*_DAMAGE, OSError):
         file.seek(0)
         summary = SeekingReader(file, record_size_limit=file_size).get_summary()
@@ -256,7 +281,7 @@ def _written(file: IO[bytes], file_size: int) -> int | None:
 
 
 def _in_words(error: Exception) -> str:
-    """Return the fault of a record whose parsing raised one of _DAMAGE."""
+    """Return in words what is wrong with a file; ``error`` is what reading it raised (_DAMAGE)."""
     if isinstance(error, _INCOMPLETE):
         return "incomplete record"
     if isinstance(error, InvalidMagic):

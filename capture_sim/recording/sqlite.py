@@ -1,4 +1,4 @@
-"""The messages of a .db3 file, read by rosbags, as the records of an MCAP file."""
+"""Reads a bag's .db3 file with the library rosbags, and gives it in the form of MCAP records."""
 
 from __future__ import annotations
 
@@ -30,10 +30,13 @@ _OF_URIS = frozenset("?#%")
 def scan_sqlite(
     path: Path, named: Path, size: int, limit: int
 ) -> Iterator[RecordContents | Damage]:
-    """Yield the contents of a bag's .db3 file; last its damage, if it has any.
+    """Yield the contents of the .db3 file at ``path``; last its damage, if it has any.
 
-    ``limit`` is how many bytes its messages may have.  RecordingError, which names the file
-    ``named``, if it is no such file.
+    First come the definitions, one topic each, then the messages in batches.  ``size`` is the
+    file's size, bytes, which a damage reports.  ``limit`` is how many bytes the messages may have
+    in all, with those that compressed ones unpack to and MESSAGE_COST for each; more count as
+    damage.  RecordingError, at the first ``next``, if the file is not a bag of rosbag2.  It names
+    the file ``named``, because a compressed file is unpacked to a temporary ``path``.
     """
     if _OF_URIS & set(str(path)):
         with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,7 @@
-"""The table of a sweep as CSV or Parquet, with units in the header or in each column's metadata."""
+"""Writes the table of a sweep, with its units, as CSV or Parquet, and reads tables of runs.
+
+A CSV has the units in its header; a Parquet file has them in the table's ``attrs["units"]``.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,10 @@ _HEAD = re.compile(r"(.*\S)\s*\[(.*)\]")
 
 
 def check_format(path: Path) -> None:
-    """Raise RecordingError if a table cannot be written in the format of the path's suffix."""
+    """Raise RecordingError if a table cannot be written in the format of the path's suffix.
+
+    The suffix must be .csv or .parquet.  pandas must be installed, for .parquet also pyarrow.
+    """
     if path.suffix == ".parquet":
         arrow()
     elif path.suffix != ".csv":
@@ -30,12 +36,15 @@ def check_format(path: Path) -> None:
 
 
 def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -> Path:
-    """Write the table of :func:`capture_sim.sweep` in the format of the path's suffix; return it.
+    """Write a table of :func:`capture_sim.sweep`, as CSV or Parquet by its suffix; return its path.
 
-    ``about`` is what made the table, with the text of its scene in ``scene``.  It is written with
-    the scene's name, overrides and hash and the software: in a Parquet file as the table's
-    ``attrs["made_by"]``, next to a CSV as ``<name>_made_by.json``.  RecordingError if the file
-    cannot be written or pyarrow is not installed.
+    ``about`` is what made the table, e.g. the seed; it must contain the text of the scene as
+    ``scene``.  It is written together with the scene's name, overrides and hash and with the
+    software: in a Parquet file as the table's ``attrs["made_by"]``, next to a CSV as
+    ``<name>_made_by.json``.  There, ``scene`` is the scene's name and ``scene_text`` its text.
+
+    RecordingError if a file cannot be written, if the suffix is another one, or if pandas, or
+    pyarrow for a Parquet file, is not installed.
     """
     check_format(path)
     scene = about["scene"]
@@ -61,7 +70,11 @@ def head_of(name: str, unit: str) -> str:
 
 
 def with_units(columns: Any, units: Mapping[str, str]) -> Any:
-    """Return a table of pyarrow with units by column in the metadata of its fields."""
+    """Return a pyarrow table with the unit of each column in its field's metadata, as ``unit``.
+
+    ``units`` are by column; a column without a unit, or with an empty one, gets no metadata.
+    RecordingError if pyarrow cannot be imported.
+    """
     fields = [
         field.with_metadata({"unit": units[field.name]}) if units.get(field.name) else field
         for field in columns.schema
@@ -71,9 +84,15 @@ def with_units(columns: Any, units: Mapping[str, str]) -> Any:
 
 
 def read_cases(path: Path) -> pandas.DataFrame:
-    """Read a table with a row a run; a number in a column ``name [unit]`` becomes a text with it.
+    """Read a table with one row for each run, from a Parquet file or, with another suffix, a CSV.
 
-    RecordingError if the file cannot be read.
+    A column ``name [unit]`` is returned as ``name``, and its cells become texts with the unit, e.g.
+    ``"600 N/m"``; blank cells get no unit.  In a column without a unit, or with the unit ``[1]``,
+    numbers become floats and other texts stay.  The column ``run``, in which a sweep numbers its
+    runs, is left out.
+
+    RecordingError if the file cannot be read or is not a table, if a column is given twice, if a
+    name contains a ``;``, or if pandas, or pyarrow for a Parquet file, is not installed.
     """
     pandas = _pandas()
     try:
@@ -107,7 +126,7 @@ def read_cases(path: Path) -> pandas.DataFrame:
 
 
 def _number(cell: Any) -> Any:
-    """Return the number in a cell; the cell itself if it is another text."""
+    """Return the number in a cell as a float; the cell itself if it is a text without a number."""
     try:
         return float(cell)
     except (ValueError, TypeError):
@@ -128,7 +147,7 @@ def _pandas() -> Any:
 
 
 def arrow() -> tuple[Any, Any]:
-    """Return pyarrow and its module for Parquet; RecordingError if it cannot be imported."""
+    """Return the modules pyarrow and pyarrow.parquet; RecordingError if they cannot be imported."""
     try:
         import pyarrow
         import pyarrow.parquet

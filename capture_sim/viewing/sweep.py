@@ -1,4 +1,8 @@
-"""Plots of sweeps: curve over one axis, map over two, loads of draws, effect of the inputs."""
+"""Plots of the table of a sweep, which has one row for each run.
+
+There are plots of the loads over one input, of the verdicts over two inputs, of the distribution
+of the loads, and of the influence of each input.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +62,7 @@ _MIN_CONTOUR = 2.5  # cells
 
 
 class _Shown(NamedTuple):
-    """A column as a person reads it: its name, its unit, and the factor from SI to that."""
+    """Name and unit with which a column is plotted; SI values times ``factor`` are in this unit."""
 
     name: str
     unit: str
@@ -87,11 +91,21 @@ def draw_sweep(
     limits: Sequence[Limit] = (),
     ranges: Mapping[tuple[Any, ...], CaptureRange] | None = None,
 ) -> dict[str, Figure]:
-    """Return the figures of a sweep that its axes allow, by name.
+    """Return the figures that suit the inputs of a sweep, by name; empty if every run failed.
 
-    ``indices`` are those of the main loads, from runs of Saltelli's design; ``title`` is the name
-    of the scene.  ``limits`` are marked.  ``ranges`` are the capture ranges of a map by the values
-    of the axes that have panels.
+    ``table`` is the result of the sweep and ``axes`` are its inputs; ``title`` is the name of the
+    scene.  Only inputs that are numbers are considered:
+
+    - ``curve``: one input has several values, and all of them were run equally often.
+    - ``map``: two or more inputs have several values, all combinations of these were run equally
+      often, and no input has a distribution.
+    - ``loads``: an input has a distribution, or not all combinations of the values were run equally
+      often.  In the same cases, ``indices`` if these are given; otherwise ``tornado`` if three runs
+      or more were computed and any result varies with any input.
+
+    ``indices`` are Sobol's indices of the main loads, from runs of Saltelli's design, with their
+    arrays in the order of the sorted names of the inputs.  ``limits`` are marked in the plots.
+    ``ranges`` are the capture ranges that a map shows, see :func:`draw_map`.
     """
     table = table.assign(outcome=outcome_labels(table))
     numbers = [axis for axis in axes if table[axis.name].dtype.kind in "if"]
@@ -119,7 +133,16 @@ def draw_sweep(
 
 
 def draw_curve(table: pandas.DataFrame, axis: Axis, title: str, limits: Sequence[Limit]) -> Figure:
-    """Return the main loads over one axis; with several runs a value, medians and 5 to 95 %."""
+    """Return a figure of the main loads over the values of one input, with a panel for each load.
+
+    With one run at each value, the runs are joined by a line, and markers show their outcomes.
+    With more rows than values, each panel shows single runs, the median and the band from 5 to
+    95 %, and a further panel shows the probability of capture with its 95 % interval.
+
+    A value with a run that could not be computed has a grey vertical line in the first panel.
+    ``table`` must have the column ``outcome``.  Only ``limits`` of a main load of the complete run
+    are drawn.
+    """
     several = table[axis.name].nunique() < len(table)
     figure, panels = subplots(9.0, 12.0, len(MAIN_LOADS) + several, 1, font=12.0, sharex=True)
     x = _input(axis)
@@ -164,7 +187,11 @@ def draw_curve(table: pandas.DataFrame, axis: Axis, title: str, limits: Sequence
 
 
 def _mark_limits(draw_line: Callable[..., Any], load: str, limits: Sequence[Limit]) -> None:
-    """Draw the limits of a load of the entire run as lines."""
+    """Draw the limits of one load as lines, each by a call of ``draw_line``.
+
+    ``load`` is the name of the load in results.  Limits of other loads, or of this load until the
+    latch closes, are not drawn.
+    """
     for limit in limits:
         if limit.key == load:
             at = limit.value * limit.load.factor
@@ -188,11 +215,17 @@ def draw_map(
     limits: Sequence[Limit] = (),
     ranges: Mapping[tuple[Any, ...], CaptureRange] | None = None,
 ) -> Figure:
-    """Return the verdict over two axes in colours, with contours of the peak force.
+    """Return a map of the outcomes over two inputs in colours, with contours of the peak force.
 
-    A cross marks each run that exceeds a limit.
+    ``axes`` are two or more inputs of a sweep, and ``table`` has one run for each combination of
+    their values, with the column ``outcome``.  The two inputs with the most values are the x and y
+    axes of the map.  Each combination of the values of all other inputs has its own panel, but only
+    the first nine combinations, in ascending order of their values, are drawn.
 
-    The two with the most values are the x and y axes; each combination of the others has a panel.
+    If ``limits`` are given, a cross marks each run that exceeds one of them, and ``table`` must
+    have the column ``exceeded``.  The title of a panel gives the capture range if ``ranges`` has
+    one, else the share of the runs that are captured.  The keys of ``ranges`` are the values of
+    the inputs that are not on the x and y axes; the key is ``()`` if there are no such inputs.
     """
     across, up = sorted(axes, key=lambda axis: -len(set(axis.values)))[:2]
     across, up = (axis for axis in axes if axis in (across, up))
@@ -252,7 +285,11 @@ def draw_map(
 
 
 def _levels(force: np.ndarray) -> np.ndarray:
-    """Return the levels of the contours, the same in all panels of a map."""
+    """Return the levels of the force contours of a map, N, which all its panels share.
+
+    ``force`` has the peak force of every run of the map, N.  The result is empty if no run has a
+    touch.
+    """
     known = force[np.isfinite(force) & (force > 0.0)]
     if not known.size:
         return np.empty(0)
@@ -286,7 +323,11 @@ def _draw_verdicts(
 
 
 def _drop_short_contours(lines: QuadContourSet, least: Sequence[float]) -> None:
-    """Keep the contours that are at least this wide or high: others circle a single run."""
+    """Remove pieces of contours that are both narrower and lower than ``least``.
+
+    Such a piece encircles a single run.  ``least`` is a width and a height, in the units of the
+    plot.
+    """
     paths = []
     for path in lines.get_paths():
         pieces = path.to_polygons(closed_only=False)
@@ -296,7 +337,14 @@ def _drop_short_contours(lines: QuadContourSet, least: Sequence[float]) -> None:
 
 
 def draw_loads(table: pandas.DataFrame, title: str, limits: Sequence[Limit]) -> Figure:
-    """Return histograms of the main loads, captured and not, with 95 and 99 % marked."""
+    """Return a figure with a histogram of each main load, stacked by the outcomes of the runs.
+
+    An outcome is a verdict, or a capture whose tip left the capture zone again.  Lines mark the
+    95 % and 99 % quantiles of a load over all computed runs, and its limits.  The title gives the
+    number of captures and, with ``limits``, the number of runs that meet all of them.  Additional
+    draws near the edges of the distributions are left out.  ``table`` must have the column
+    ``outcome``.
+    """
     figure, panels = subplots(13.0, 8.5, 2, 2, font=12.0)
     plain = plain_rows(table)
     computed = computed_rows(plain)
@@ -339,9 +387,11 @@ def draw_loads(table: pandas.DataFrame, title: str, limits: Sequence[Limit]) -> 
 
 
 def draw_tornado(table: pandas.DataFrame, correlations: pandas.DataFrame, title: str) -> Figure:
-    """Return the rank correlation of each input with the main loads and with capture, as bars.
+    """Return a figure of the rank correlation of each input with each result, as bars.
 
-    The input with the strongest correlation is at the top.
+    ``correlations`` has one row for each input and one column for each result: main loads, and
+    ``captured`` (1 or 0).  A NaN is drawn as 0.  ``table`` only gives the number of runs in the
+    title.  The input with the strongest correlation with any result is at the top.
     """
     order = correlations.abs().max(axis=1).sort_values(ascending=False).index
     runs = len(plain_rows(computed_rows(table)))
@@ -357,9 +407,11 @@ def draw_tornado(table: pandas.DataFrame, correlations: pandas.DataFrame, title:
 
 
 def draw_indices(indices: Sequence[Indices], inputs: Sequence[str], title: str) -> Figure:
-    """Return Sobol's first and total indices of each input for each load, with 95 % intervals.
+    """Return a figure of Sobol's first-order and total indices as bars, with 95 % intervals.
 
-    The input with the largest total index is at the top.
+    ``indices`` has one element, and the figure one panel, for each load.  ``inputs`` are the names
+    of the inputs, in the order of the arrays of ``indices``.  The input with the largest total
+    index for any load is at the top.
     """
     order = np.argsort(-np.max([found.total for found in indices], axis=0), kind="stable")
     titles = [_load(found.load).name for found in indices]
@@ -386,7 +438,11 @@ def draw_indices(indices: Sequence[Indices], inputs: Sequence[str], title: str) 
 def _bar_panels(
     inputs: Sequence[str], titles: Sequence[str], headline: str
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a panel for each title, and its axes; the first input is at the top."""
+    """Return a figure with an empty panel for each title, and the list of these panels.
+
+    ``inputs`` are the labels of the bars, from top to bottom, at y = 0, 1, 2 and so on.
+    ``headline`` is the title of the figure.
+    """
     columns = columns_for(len(titles))
     rows = math.ceil(len(titles) / columns)
     height = 1.2 + rows * (0.7 + 0.5 * len(inputs))
