@@ -1,4 +1,4 @@
-"""Counting of streams, so that every lost message is reported."""
+"""Counts the messages of topics, so that lost messages are reported."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from capture_sim.messages.topics import Topic, topic_named
 
 @dataclass
 class TopicCount:
-    """Messages of one topic, by their numbers."""
+    """How many messages of one topic were received, were sent, and are missing."""
 
     received: int = 0  # messages that came
     # messages that were sent, as their publisher reports at the end; None before
@@ -28,7 +28,7 @@ class TopicCount:
 
     @property
     def rate(self) -> float:
-        """Messages per second between the first and the last, Hz; 0 for fewer than two."""
+        """Mean rate between the first and the last message, Hz; 0 for fewer than two messages."""
         span = 0 if self.first is None else self.last - self.first
         return 1e9 * (self.received - 1) / span if span else 0.0
 
@@ -38,22 +38,27 @@ MAX_GAPS = 100
 
 
 def counts_of(message: Any) -> dict[str, int]:
-    """Return the numbers of a StreamCounts, of any library, by topic; MessageError if it is odd."""
+    """Return the numbers of messages in a StreamCounts by name of the topic.
+
+    ``message`` may be an object of rclpy or of another library.  MessageError if it has not one
+    number for each topic.
+    """
     if len(message.topics) != len(message.counts):
         raise MessageError(f"{len(message.topics)} topics and {len(message.counts)} counts")
     return dict(zip(message.topics, map(int, message.counts), strict=True))
 
 
 class Completeness:
-    """Counts messages by topic, follows their sequence, and compares with the counts sent.
+    """Counts the messages received, and compares them with what the nodes report that they sent.
 
-    Of a topic that holds a state (:attr:`Topic.holds_state`) the last message must come: earlier
-    ones may be replaced by it on their way, and are in the topic's stream.
+    Sequence numbers, which some messages have, show which messages are missing.  Of a topic that
+    holds a state (:attr:`Topic.holds_state`), only the last message must come, because DDS may
+    replace earlier ones by it on their way.
 
-    ``publishers`` are the nodes that have to report how many messages they sent; ``topics`` are
-    the topics whose reported numbers count, None for all; ``required`` those that must have
-    messages, unless their publisher reports that it has sent none.  ``names`` are the names of
-    topics that do not have the bench's.
+    ``publishers`` are the roles of the nodes that have to report how many messages they sent.
+    ``topics`` are the topics whose reported numbers count, None for all.  ``required`` are the
+    topics that must have messages, unless a node reports how many it sent.  ``names`` are the names
+    to print for topics that were recorded under other names than the bench's.
     """
 
     def __init__(
@@ -71,7 +76,10 @@ class Completeness:
         self._ended: dict[str, str | None] = {}  # why early, by publisher; None: not early
 
     def add(self, topic: Topic, seq: int | None, time: int | None = None) -> None:
-        """Count a message, its sequence number, None without one, and its log time, ns."""
+        """Count a message that was received.
+
+        ``seq`` is its sequence number, None if it has none; ``time`` its log time, ns, or None.
+        """
         entry = self._topics.get(topic)
         if entry is None:
             entry = self._topics[topic] = TopicCount()
@@ -96,7 +104,11 @@ class Completeness:
     def end(
         self, publisher: str, counts: Mapping[str, int], *, complete: bool = True, reason: str = ""
     ) -> None:
-        """Add the numbers that a publisher reports; a second report of it does not count."""
+        """Take a node's report of how many messages it sent; its second report does not count.
+
+        ``counts`` are the numbers by name of the topic.  ``complete`` is False if the node ended
+        the run early, for ``reason``.
+        """
         if publisher in self._ended:
             return
         self._ended[publisher] = None if complete else reason
@@ -109,19 +121,22 @@ class Completeness:
 
     @property
     def topics(self) -> dict[Topic, TopicCount]:
-        """All that is known, by topic."""
+        """The counts of each topic that had a message or was in a report."""
         return self._topics
 
     @property
     def satisfied(self) -> bool:
-        """True if all publishers have reported and all their messages were received."""
+        """True if all publishers have reported, and their messages were received.
+
+        Of a topic that holds a state only the last message must be received.
+        """
         return set(self.publishers) <= set(self._ended) and all(
             (entry.next_seq if topic.holds_state else entry.received) >= (entry.expected or 0)
             for topic, entry in self._topics.items()
         )
 
     def summary(self) -> list[str]:
-        """Return a line for each required topic: its messages, rate and longest gap."""
+        """Return a line for each required topic with messages: number, rate and longest gap."""
         counts = [(topic, self._topics.get(topic, TopicCount())) for topic in self._required]
         return [
             f"{self._name(topic)}: {count.received} messages, {count.rate:.4g} Hz, "
@@ -131,7 +146,7 @@ class Completeness:
         ]
 
     def _empty(self) -> list[Topic]:
-        """Return the required topics without a message that have no publisher of ours."""
+        """Return the required topics without a message, of which no node reported a number."""
         counts = [(topic, self._topics.get(topic, TopicCount())) for topic in self._required]
         return [t for t, count in counts if not count.received and count.expected is None]
 

@@ -1,4 +1,4 @@
-"""Compressed messages and files, unpacked within bounds."""
+"""Unpacks messages and files that are compressed by zstd or lz4, up to a limit of size."""
 
 from __future__ import annotations
 
@@ -26,12 +26,15 @@ TOO_LARGE = "it unpacks to more than is accepted for the file"
 
 
 def is_compressed(data: bytes) -> bool:
-    """Return True if bytes begin as a zstd or lz4 frame does."""
+    """Return True if bytes begin like data that is compressed by zstd or lz4."""
     return data.startswith(MAGICS)
 
 
 def other_compression(head: bytes) -> tuple[str, str] | None:
-    """Return the name of a compression that is not read, and the command that unpacks it."""
+    """Return the name of a compression that is not supported, and a command that unpacks it.
+
+    ``head`` are the first bytes of a file.  None if they are of no such compression.
+    """
     for magic, name, command in _OTHERS:
         if head.startswith(magic):
             return name, command
@@ -39,9 +42,10 @@ def other_compression(head: bytes) -> tuple[str, str] | None:
 
 
 def unpacked(data: bytes, limit: int, size: int | None = None) -> bytes:
-    """Return unpacked bytes, at most ``limit``; ``size`` is how many there should be, if known.
+    """Return bytes that are compressed by zstd or lz4 unpacked.
 
-    ValueError if there are more, or the bytes are damaged.
+    ``size`` is the number of bytes that they should unpack to, None if it is not known.  ValueError
+    if they unpack to more than ``limit`` bytes or not to ``size``, or if they are damaged.
     """
     try:
         if size is None and data.startswith(_ZSTD):
@@ -67,7 +71,10 @@ def unpacked(data: bytes, limit: int, size: int | None = None) -> bytes:
 
 
 def unpack(file: IO[bytes], out: IO[bytes], limit: int) -> str:
-    """Unpack a file, at most ``limit`` bytes; return why not all of it, empty if all."""
+    """Unpack a file compressed by zstd or lz4 into ``out``, at most ``limit`` bytes.
+
+    Return the reason why not all of it was unpacked; empty if all was.
+    """
     head = file.read(len(_ZSTD))
     file.seek(0)
     try:

@@ -21,7 +21,7 @@ CDR = "cdr"
 
 @dataclass
 class Contents:
-    """All that is in the data sections of a recording's files."""
+    """Contents of the files of a recording, up to the first damage of each."""
 
     types: dict[str, str] = field(default_factory=dict)  # message type by topic
     # quality of service by topic, YAML as rosbag2 writes it; empty when not recorded
@@ -42,10 +42,10 @@ class Contents:
 
 
 def read_contents(path: Path, ratio: float = MAX_UNPACKED_RATIO) -> Contents:
-    """Read a file, or a bag's folder of files, each up to its first damage.
+    """Read a recording, which is a file or a bag's folder, each file up to its first damage.
 
-    ``ratio`` is how many times its size a file may unpack to.  RecordingError if no file can be
-    read.
+    A file may unpack to ``ratio`` times its size, and to 64 MiB in any case.  RecordingError if no
+    file can be read.
     """
     contents = Contents()
     files, left_out, doubts = bag_files(path)
@@ -74,7 +74,10 @@ def read_contents(path: Path, ratio: float = MAX_UNPACKED_RATIO) -> Contents:
 
 
 def _put_in_order(contents: Contents) -> list[str]:
-    """Sort the messages of each topic by log time; return a line for each irregular log time."""
+    """Sort the messages of each topic by log time, in place, and settle log times that jump.
+
+    Return a line for each jump, and one if messages have no log time.
+    """
     lines: list[str] = []
     used = {topic: sorted(times) for topic, times in contents.log_times.items() if times}
     low, high = (
@@ -107,9 +110,10 @@ def _note_rejected(contents: Contents, rejected: Mapping[tuple[str, str], int]) 
 
 
 def rename_topics(contents: Contents, recorded_names: Mapping[str, str]) -> None:
-    """Give topics the bench's names; ``recorded_names`` maps these names to the names in the file.
+    """Rename topics from the names in the file to the bench's names, in place.
 
-    RecordingError if a topic is in the file under neither name, or under both.
+    ``recorded_names`` maps the bench's names to those in the file.  A pair of equal names is
+    ignored.  RecordingError if a topic is in the file under neither name, or under both.
     """
     for name, recorded_name in recorded_names.items():
         is_there = bool(contents.messages.get(name))
@@ -130,14 +134,14 @@ def rename_topics(contents: Contents, recorded_names: Mapping[str, str]) -> None
 
 
 def schema_problem(channel: Channel, schema: Schema | None) -> str:
-    """Return why no reader accepts a topic, empty if all do."""
+    """Return why a topic cannot be used because of its name or its type's; empty if it can."""
     if not channel.topic.isprintable() or not (schema is None or schema.name.isprintable()):
         return "names of topics and types must be printable characters"
     return ""
 
 
 class _Reader:
-    """Reads one file into the contents of all."""
+    """Adds the records of one file to the contents of the whole recording."""
 
     def __init__(self, contents: Contents, rejected: Counter[tuple[str, str]]) -> None:
         self._contents = contents
@@ -148,7 +152,7 @@ class _Reader:
         self._lists: dict[int, tuple[list[bytes] | deque[bytes], list[int] | deque[int]]] = {}
 
     def add(self, record: RecordContents) -> None:
-        """Add the contents of a record."""
+        """Add the entries and messages of a record to the contents."""
         for entry in record.entries:
             if isinstance(entry, Schema):
                 self._schemas[entry.id] = entry

@@ -1,4 +1,4 @@
-"""Measurements of the sensors in a bag, for the rules of plausibility."""
+"""Takes the sensors' measurements from a recording, for the rules of plausibility."""
 
 from __future__ import annotations
 
@@ -24,9 +24,12 @@ _BUFFERS = (topics.BUFFER_STATE, topics.JOINT_STATES)
 
 
 def evidence_in(bag: Bag) -> tuple[Measured, ...]:
-    """Return the measurements of a bag, once for each pair of topics with poses.
+    """Return the sensors' measurements in a recording, one Measured for each pair of pose topics.
 
-    Empty for the run of a simulator: one clock and one program have made all of it.
+    A pair is chaser and target by motion capture, or both by odometry.  If motion capture gives
+    only one vehicle, odometry gives the other one of its pair.  Without any poses there is one
+    Measured, with buffer and force.
+    Empty for a simulated run, in which one clock and one program have made everything.
     """
     if bag.is_simulated:
         return ()
@@ -55,7 +58,7 @@ def _all_topics(bag: Bag) -> list[Topic]:
 
 
 def _readable(bag: Bag, topic: Topic) -> tuple[Columns, np.ndarray] | None:
-    """Return columns and log times, ns, of a topic; None if there are none that can be read."""
+    """Return columns and log times, ns, of a topic; None if no message can be read."""
     if bag.holds(topic):
         with suppress(CaptureSimError):  # reported where the messages themselves are used
             columns, log_times = bag.readable(topic)
@@ -65,7 +68,7 @@ def _readable(bag: Bag, topic: Topic) -> tuple[Columns, np.ndarray] | None:
 
 
 def _times(columns: Columns, log_times: np.ndarray, origin: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return stamps and arrivals of messages, (n,) each, s after the origin, ns."""
+    """Return stamps and arrivals (log times) of messages, (n,) each, s after ``origin``, ns."""
     return (stamps_of(columns) - origin) / 1e9, (log_times - origin) / 1e9
 
 
@@ -112,7 +115,11 @@ def _deflections(bag: Bag, topic: Topic, origin: int) -> Deflections | None:
 
 
 def _joints(bag: Bag, origin: int) -> Deflections | None:
-    """Return joint states that all name the buffer's joints alike, read together; else None."""
+    """Return the buffer's deflections from joint states that all list the same joints.
+
+    Such messages are read together, which is fast.  None if they differ, or if they do not list
+    both joints of the buffer once.
+    """
     if (found := _readable(bag, topics.JOINT_STATES)) is None:
         return None
     columns, names = found[0], found[0]["name"].tolist()

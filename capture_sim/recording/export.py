@@ -1,4 +1,4 @@
-"""A recording as tables for other tools: a column for every number, a table for every topic."""
+"""Writes a recording as tables for other tools: a table for each topic, a column for each field."""
 
 from __future__ import annotations
 
@@ -40,18 +40,37 @@ def save_tables(
     columns: Collection[str] = (),
     scene: str = "",
 ) -> Iterator[Path]:
-    """Write tables as files of one of KINDS into a folder; yield the path of each complete file.
+    """Write tables to files in a folder, and yield the path of each file when it is complete.
 
-    Each table makes a file; for ``npz`` there is one, ``<name>.npz``, with arrays named
-    ``topic/field``, texts as Unicode strings, the text of the scene in ``scene`` and units by
-    column as JSON in ``units``; none needs pickle.  Numbers in CSV are written so that reading
-    gives the same bits.  Units are in the header of a CSV (``t [s]``) and in the metadata of a
-    Parquet's columns.
+    It is a generator: nothing is checked or written before its first ``next``.
 
-    ``tables`` are those of a run or bag, which can all be read; only ``topics`` of these are
-    written, if given.  Without ``columns`` all are; ``q`` stands for ``q.x_S`` and the other
-    columns of ``q``.  The time is always written.  RecordingError if a topic or column is not
-    recorded, or if a file cannot be written.
+    Parameters
+    ----------
+    tables
+        Tables by topic, of a run or recording; all must be readable.
+    folder
+        Where to write.
+    to
+        Kind of the files, one of KINDS.  ``csv``: a file for each table, with units in the header
+        (``t [s]``); reading the numbers gives the same bits.  ``parquet``: a file for each table,
+        with units in the metadata of the columns.  ``npz``: one file, ``<name>.npz``, with arrays
+        named ``topic/field``, the text of the scene in ``scene``, and units by column as JSON in
+        ``units``; none of them needs pickle.
+    name
+        Name of the npz file.
+    topics
+        The topics to write; all if empty.
+    columns
+        The columns to write besides the time; all if empty.  ``q`` stands for ``q.x_S`` and the
+        other columns of ``q``.  A table that then has only the time is left out.
+    scene
+        Text of the scene, for npz.
+
+    Raises
+    ------
+    RecordingError
+        A topic or column is not recorded, a file cannot be written, or ``parquet`` needs pyarrow,
+        which cannot be imported.
     """
     if topics:
         names = [topic if topic in tables else "/" + topic.lstrip("/") for topic in topics]
@@ -77,7 +96,10 @@ def save_tables(
 
 
 def tables_of(bag: Bag) -> LazyMapping[Table]:
-    """Return the tables of a bag by topic, and the touches; decoded at their first use."""
+    """Return the tables of a recording by topic; each is decoded when it is first used.
+
+    If events are recorded, the touches that they describe are a further table, TOUCHES.
+    """
     makers = {topic: partial(_table, bag, topic) for topic, count in bag.topics.items() if count}
     if bag.has(BENCH_EVENT):
         makers[TOUCHES] = partial(_touch_table, bag)
@@ -85,7 +107,10 @@ def tables_of(bag: Bag) -> LazyMapping[Table]:
 
 
 def readable(tables: Mapping[str, Table]) -> tuple[dict[str, Table], list[str]]:
-    """Return the tables that can be read and are not empty, and a line for each unreadable one."""
+    """Return the tables that can be read and have rows, and a line for each that is unreadable.
+
+    If the events are unreadable, the table of touches, which come from them, has no line.
+    """
     kept, problems = {}, []
     for topic in tables:
         try:
@@ -100,9 +125,10 @@ def readable(tables: Mapping[str, Table]) -> tuple[dict[str, Table], list[str]]:
 
 
 def _table(bag: Bag, topic: str) -> Table:
-    """Return a topic's fields, (n,) or (n, m), times first.
+    """Return the table of a topic: its fields, (n,) or (n, m), after time and log time.
 
-    The contact's trace has a row for every point.
+    It has a row for each message; that of the contact's trace, whose messages contain many points,
+    has a row for each point.
     """
     columns, logged = bag.columns(topic), bag.log_times(topic)
     if topic.strip("/") == CONTACT_TRACE.name and columns:
@@ -118,7 +144,7 @@ def _table(bag: Bag, topic: str) -> Table:
 
 
 def _touch_table(bag: Bag) -> Table:
-    """Return the located touches as a table."""
+    """Return the table of the touches that the recorded events describe."""
     names = [name for name in TOUCH.names or () if name != "rate_ratio"]  # in no message
     fields = {name: bag.touches[name] for name in names}
     # a touch is sent in the event that ends it
@@ -128,18 +154,21 @@ def _touch_table(bag: Bag) -> Table:
 def _units(
     type_name: str, fields: Mapping[str, np.ndarray], times: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return the units of a table's columns that have one."""
+    """Return the units of a table's columns by column, without columns that have no unit.
+
+    ``times`` are the units of columns with times; the others follow from the message type.
+    """
     units = {name: times.get(name) or unit_of(type_name, name) for name in columns_of(fields)}
     return {name: unit for name, unit in units.items() if unit}
 
 
 def _covers(name: str, column: str) -> bool:
-    """Return True if a name selects a column: its own name, or the name of its field."""
+    """Return True if a user's ``name`` selects a column: it is the column's name or its field's."""
     return column == name or column.startswith(f"{name}.")
 
 
 def _selected(names: Collection[str], fields: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the fields of which a name covers a column, and the time; without names all."""
+    """Return the time and the fields that the user's names select; all fields without names."""
     return {
         field: values
         for field, values in fields.items()
@@ -150,7 +179,7 @@ def _selected(names: Collection[str], fields: Mapping[str, np.ndarray]) -> dict[
 
 
 def _paths(topics: Collection[str], folder: Path, suffix: str) -> dict[str, Path]:
-    """Return a file for each topic, no two of one name."""
+    """Return the path of a file for each topic; equal names are numbered."""
     paths: dict[str, Path] = {}
     for topic in topics:
         stem = name = file_name(topic.strip("/"))
@@ -206,6 +235,6 @@ def _save_npz(
 
 
 def _texts(column: np.ndarray) -> list[str]:
-    """Return texts as they are, and sequences as their items between spaces."""
+    """Return the texts of a column; a sequence becomes its items, separated by spaces."""
     lists = (x.tolist() if isinstance(x, np.ndarray) else x for x in column)
     return [x if isinstance(x, str) else " ".join(map(str, x)) for x in lists]

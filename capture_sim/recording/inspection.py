@@ -1,4 +1,4 @@
-"""Quality of a recording: a row for each topic, and the parts that each command lacks."""
+"""The quality of a recording: a row for each topic, and what each command lacks in it."""
 
 from __future__ import annotations
 
@@ -51,7 +51,11 @@ _USES = {
 
 @dataclass(frozen=True)
 class SeriesRow:
-    """One topic of a recording; times are s since the release, None if a value is not known."""
+    """What a recording contains of one topic; a value that is not known is None.
+
+    Times are s since the release: of the stamps for a topic that measures poses, buffer or force,
+    else of logging.  Rate and gap are of the same times.
+    """
 
     topic: str
     type: str
@@ -68,7 +72,7 @@ class SeriesRow:
 
 
 def series_rows(bag: Bag, run: Run) -> list[SeriesRow]:
-    """Return a row for each topic of a recording, in the order of their names."""
+    """Return a row for each topic of a recording, sorted by name; ``run`` is its run."""
     left_out = {d.topic: d.rule.name for d in run.doubts if d.leaves_out_topic}
     return [_row(bag, run, name, left_out) for name in sorted(bag.topics)]
 
@@ -120,7 +124,10 @@ def _columns(series: Series) -> np.ndarray:
 
 
 def missing_for(run: Run) -> dict[str, list[str]]:
-    """Return, by command, the parts that ``detect``, ``compare`` and ``identify`` lack."""
+    """Return what a run lacks for each of the commands ``detect``, ``compare`` and ``identify``.
+
+    The result is by command; a list is empty if the command can use the run.
+    """
     refused = [d.rule.name for d in run.doubts if d.grade is Grade.REFUSED]
     common = [f"rule {name} kept" for name in dict.fromkeys(refused)]
     vehicles = [v for v in ("chaser", "target") if not run.measured(v).t.size]
@@ -141,7 +148,7 @@ def missing_for(run: Run) -> dict[str, list[str]]:
 
 
 def as_data(bag: Bag, run: Run) -> dict[str, object]:
-    """Return all of it as plain data, for scripts."""
+    """Return what ``inspect`` shows as data of plain types, for JSON."""
     return {
         "recording": str(bag.path),
         "scene": None if run.given.scene is None else run.given.scene.name,

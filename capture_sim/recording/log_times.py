@@ -1,4 +1,4 @@
-"""Log times of a clock that was set while it recorded, or that was not set at all."""
+"""Corrects log times of a clock that was set while it recorded, or that was not set at all."""
 
 from __future__ import annotations
 
@@ -12,10 +12,15 @@ JUMP = 86_400 * 10**9
 
 
 def settle(log_times: Mapping[str, list[int]]) -> list[str]:
-    """Remove jumps of more than :data:`JUMP` from log times, in place.
+    """Remove jumps of the recorder's clock from log times, in place.
 
-    ``log_times``, ns, has those of each topic in the order of the file.  The clock with the most
-    messages is kept.  Return a line for each jump, and one for messages without a log time.
+    ``log_times``, ns, has those of each topic in the order of the file.  Where the log times of all
+    topics together, sorted, have a gap of more than :data:`JUMP`, they are by two clocks.  The
+    times by the clock with the most messages are kept; the others are shifted so that each clock
+    goes on where the one before ended.
+
+    Return a line for each jump, and one for messages whose log time is 0, if there are any.  The
+    jump from such messages to others has no line.
     """
     used = {topic: times for topic, times in log_times.items() if times}
     if not used:

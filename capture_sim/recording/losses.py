@@ -1,4 +1,4 @@
-"""Losses of a recording: lost messages and early ends, by sequence numbers and reported counts."""
+"""Finds lost messages and early ends of the run in a recording."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from capture_sim.recording.recorded_topics import RecordedTopics
 
 
 def losses(topics: RecordedTopics, publishers: Sequence[str]) -> tuple[str, ...]:
-    """Return a line for each loss and early end of the one run in a recording.
+    """Return a line for each topic that lost messages, and for each node that ended the run early.
 
-    ``publishers``: names of the nodes whose counts must be there.
+    Losses are found by sequence numbers, and by the numbers of messages that nodes report in
+    StreamCounts.  The recording must contain one run.  ``publishers`` are the roles of the nodes
+    that must have reported.  RecordingError if a message or a report cannot be read.
     """
     recorded = topics.typed
     completeness = Completeness(publishers, list(recorded))
@@ -50,7 +52,7 @@ def losses(topics: RecordedTopics, publishers: Sequence[str]) -> tuple[str, ...]
 
 
 def is_cut(topics: RecordedTopics) -> bool:
-    """Return True if no end of a complete run of the simulator is recorded."""
+    """Return True if no report of the simulator that it completed its run is recorded."""
     ends = topics.columns_if_typed(STREAM_COUNTS)
     ended = zip(ends.get("publisher", ()), ends.get("complete", ()), strict=True)
     return not any(publisher == SIMULATOR and complete for publisher, complete in ended)

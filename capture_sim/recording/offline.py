@@ -57,14 +57,33 @@ def write_run(
     overwrite: bool = False,
     others: Mapping[Topic, Sequence[tuple[float, bytes]]] | None = None,
 ) -> Path:
-    """Write a simulated run as one MCAP file with the messages of all nodes.
+    """Write a simulated run to one MCAP file, as the nodes would have recorded it.
 
-    The file gets its name when it is complete.  An earlier file of that name is replaced if it is
-    the same simulated run, of one scene and software, or any simulated run with ``overwrite``.
-    Next to any other recording the file gets a number after its name.  Return its path.
-    ``others``: messages of other topics, with their times, s since the release.
-    RecordingError if it cannot be written, or if the result is not sampled on the grid of
-    ``scene.run.state_rate``.
+    Parameters
+    ----------
+    result
+        The run, sampled at ``scene.run.state_rate``.
+    path
+        The file.  It gets this name when it is complete, but a device is written directly.  If
+        there is a file of this name, it is replaced if it is a run that was simulated without ROS,
+        of the same scene and software; with ``overwrite`` of any scene and software.  Any other
+        file is kept, and the new one gets a number after its name.
+    run_id
+        Id of the run; None for a new one.
+    overwrite
+        See ``path``.
+    others
+        Messages of further topics, each with its time, s since the release.
+
+    Returns
+    -------
+    pathlib.Path
+        The path of the file.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written, or the run has other samples.
     """
     _check_grid(result)
     path = Path(path)
@@ -100,9 +119,10 @@ def _write(
 
 
 def _is_repeatable(path: Path, run: RunDescription | None) -> bool:
-    """Return True if a file is a run that was simulated without ROS: it can be made again.
+    """Return True if a file may be replaced, because its run can be simulated again.
 
-    With a run, only if the file is that run, of the same scene and software.
+    The file must be a run that was simulated without ROS, and, with ``run``, one of the same scene
+    and software.
     """
     earlier = head_metadata(path).get(RUN_METADATA, {})
     if earlier.get("origin") != SIMULATED:
@@ -112,9 +132,11 @@ def _is_repeatable(path: Path, run: RunDescription | None) -> bool:
 
 
 def run_stream(result: Run, run: RunDescription) -> Iterator[Sent]:
-    """Yield all messages of a simulated run, in the order in which nodes send them.
+    """Yield the messages of simulator, launcher and detector in a simulated run.
 
-    RecordingError if the result is not sampled on the grid of ``scene.run.state_rate``.
+    They come in the order in which the nodes would send them, each with topic, stamp (ns) and
+    bytes.  RecordingError, at the first ``next``, if the run is not sampled at
+    ``scene.run.state_rate``.
     """
     _check_grid(result)
     scene, samples = result.scene, result.samples
@@ -160,7 +182,7 @@ def run_stream(result: Run, run: RunDescription) -> Iterator[Sent]:
 def _launched(
     launcher: Launcher, scene: Scene, samples: np.ndarray
 ) -> Iterator[tuple[float, LauncherStatus]]:
-    """Yield the launcher's status after each sample, with the sample's time, s."""
+    """Yield the time of each sample, s, and the launcher's status after it."""
     speeds = speeds_along_rail(samples, scene).tolist()
     travels = [launcher.travelled(x, y) for x, y in samples["q"][:, :2].tolist()]
     slack = (string_phases(samples, scene) == StringPhase.SLACK).tolist()

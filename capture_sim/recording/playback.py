@@ -1,4 +1,4 @@
-"""A recording to be played: its topics, and its messages in the order of their times."""
+"""A recording to be played: its topics, and its messages in the order of their log times."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ from capture_sim.recording.contents import read_contents
 
 
 class Playback:
-    """A file, or a bag's folder of files, to be played.
+    """A recording to be played, which is a file or a bag's folder of files.
 
-    ``remaps`` has the meaning that it has in :func:`capture_sim.recording.bag.read_bag`.
-    RecordingError if nothing can be read, or if there is no message.
+    ``remaps``: recorded names of topics by the bench's names, as for
+    :func:`capture_sim.recording.bag.read_bag`.  RecordingError if the recording cannot be read or
+    has no message, if a topic of ``remaps`` is not in it, or if messages of another version of this
+    package cannot be translated.
     """
 
     def __init__(self, path: Path | str, remaps: Mapping[str, str] | None = None) -> None:
@@ -35,7 +37,7 @@ class Playback:
         self.types = contents.types
         #: A line for every file that was not read to its end.
         self.damage = contents.damage
-        #: Why messages cannot be played, by topic.
+        #: Why messages cannot be played, by name of the topic or of the file.
         self.left_out = contents.left_out
         #: What is odd in messages that are played, a line each.
         self.doubts = contents.doubts
@@ -51,7 +53,11 @@ class Playback:
         self.end = max(each[-1] for each in times)
 
     def _translated(self) -> Iterator[tuple[str, Translation]]:
-        """Yield the topics whose messages another version of this package has written."""
+        """Yield name and translation of each topic of the bench whose type differs in the file.
+
+        Such messages were written by another version of this package.  RecordingError if they
+        cannot be translated.
+        """
         for name, type_name in self.types.items():
             topic = topic_named(name)
             if topic is None or topic.type_name != type_name or not self.counts[name]:
@@ -70,11 +76,13 @@ class Playback:
     ) -> Iterator[tuple[int, str, bytes]]:
         """Yield log time (ns), topic and bytes of the messages, in the order of their times.
 
-        Messages of one time come in the order of their topics in the file.  Of a transient local
-        topic, the messages that a late subscriber would get at the offset (s after the start) come
-        first, at its time: without the announcement of the run no node could follow it.
-        ``topics`` are the names of those that are played; None for all.  Messages of another
-        version are given as those of this one.
+        ``offset`` is the time after the start at which to begin, s.  Of a transient local topic,
+        earlier messages come first, with the time of the offset: as many as a late subscriber would
+        get, because without the announcement of the run no node could follow it.  ``topics`` are
+        the names of the topics to play; None for all.
+
+        Messages of one time come in the order of their topics in the file, but StreamCounts last,
+        because they end the run.  Messages that another version wrote are translated to this one.
         """
         begin = self.start + round(offset * 1e9)
         played: list[tuple[int, int, str, bytes]] = []
@@ -90,7 +98,10 @@ class Playback:
             yield max(time, begin), name, data if translation is None else translation(data)
 
     def skipped(self, offset: float, topics: Collection[str]) -> dict[str, int]:
-        """Return how many messages :meth:`messages` leaves out, by topic; no zeros."""
+        """Return how many messages of each topic :meth:`messages` leaves out with these arguments.
+
+        Topics that are played completely are not in the result.
+        """
         begin = self.start + round(offset * 1e9)
         skipped = {
             name: self._first(name, begin) if name in topics else count
@@ -99,17 +110,18 @@ class Playback:
         return {name: count for name, count in skipped.items() if count}
 
     def _first(self, name: str, begin: int) -> int:
-        """Return the index of the first message of a topic that is played from a time on (ns)."""
+        """Return the index of the first message of a topic to play from the time ``begin`` (ns)."""
         first = bisect_left(self._contents.log_times[name], begin)
         topic = topic_named(name)
         return max(0, first - topic.depth) if topic is not None and topic.transient_local else first
 
 
 class PlayedCounts:
-    """Adapts the counts of a recorded run to the topics that are played.
+    """Adapts recorded StreamCounts, the numbers of messages that each node sent, to a replay.
 
-    ``roles`` take part themselves: their recorded counts are left out.  ``skipped`` are the numbers
-    of messages that are not played, by topic: the counts are lowered by them.
+    ``roles`` are the roles of nodes that take part in the replay themselves, e.g. a detector that
+    evaluates the run again: their recorded counts are left out.  ``skipped`` are the numbers of
+    messages that are not played, by topic; the counts are lowered by them.
     """
 
     def __init__(self, roles: Sequence[str] = (), skipped: Mapping[str, int] | None = None) -> None:
@@ -117,7 +129,10 @@ class PlayedCounts:
         self._skipped = {name.lstrip("/"): n for name, n in (skipped or {}).items()}
 
     def __call__(self, data: bytes) -> bytes | None:
-        """Return a serialised StreamCounts as it is to be sent; None when it is left out."""
+        """Return a serialised StreamCounts as it is to be sent; None if it is to be left out.
+
+        A topic of which nothing is played is not in it.
+        """
         if not (self._roles or self._skipped):
             return data
         message = decoded(STREAM_COUNTS, data)
@@ -138,9 +153,11 @@ class PlayedCounts:
 def replayed(
     data: bytes, announcer: str, participants: Sequence[str], roles: Sequence[str]
 ) -> tuple[RunDescription, bytes]:
-    """Return a recorded RunInfo as a player announces it: its description, and serialised.
+    """Return a recorded RunInfo as a player announces it, as a description and serialised.
 
-    ``roles`` are the roles of the participants that publish streams of their own.
+    ``data`` is the recorded message, ``announcer`` the player's id on bench/roll, ``participants``
+    are the ids of the nodes that take part, and ``roles`` the roles of those that publish topics of
+    the run themselves.
     """
     message = decoded(RUN_INFO, data)
     message.source, message.announcer = str(RunSource.REPLAY), announcer
@@ -151,5 +168,5 @@ def replayed(
 
 
 def publisher_of(data: bytes) -> str:
-    """Return the publisher of a serialised StreamCounts."""
+    """Return the role of the node that sent a serialised StreamCounts."""
     return str(decoded(STREAM_COUNTS, data).publisher)

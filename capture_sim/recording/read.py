@@ -1,4 +1,4 @@
-"""Reading of one recorded run, of the suite or of a real bench."""
+"""Reads one recorded run, of the suite's nodes or of a real bench."""
 
 from __future__ import annotations
 
@@ -60,8 +60,9 @@ def read_run(
     Returns
     -------
     Run
-        The run as :func:`capture_sim.simulate` returns it.  Topics are decoded at their first use.
-        A truncated or damaged file is read up to the damage; ``problems`` reports it.
+        The run, with the attributes of one that :func:`capture_sim.simulate` returns.  Topics are
+        decoded at their first use.  A truncated or damaged file is read up to the damage;
+        ``problems`` reports it.
 
     Raises
     ------
@@ -88,7 +89,11 @@ def read_run(
 
 
 def run_of(bag: Bag, scene: Scene | None = None) -> Run:
-    """Return the run in a bag; see :func:`read_run`."""
+    """Return the run in a recording that was read before.
+
+    ``scene`` as in :func:`read_run`.  RecordingError if there are several runs; SceneError if the
+    recorded scene is invalid in this version.
+    """
     if len(bag.run_ids) > 1:
         raise RecordingError(f"{bag.path}: contains {len(bag.run_ids)} runs: must be one run")
     sha256 = ""
@@ -100,9 +105,10 @@ def run_of(bag: Bag, scene: Scene | None = None) -> Run:
 
 
 class GivenByBag(Given):
-    """The data that a bag gives; a topic is decoded when it is first read.
+    """The data of a run that its recording gives; a topic is decoded when it is first read.
 
-    A topic that has one of our names but another type gives nothing.
+    Samples, touches, events, statuses, criteria and trace are taken from topics of the bench.  A
+    topic that has such a name but another type in the file counts as not recorded.
     """
 
     def __init__(self, bag: Bag, scene: Scene | None) -> None:
@@ -111,17 +117,17 @@ class GivenByBag(Given):
 
     @cached_property
     def samples(self) -> np.ndarray:
-        """Recorded states."""
+        """Recorded BenchStates, (n,) of dtype SAMPLE."""
         return self._bag.samples if self._bag.holds(BENCH_STATE) else super().samples
 
     @cached_property
     def touches(self) -> np.ndarray:
-        """Touches of the recorded events."""
+        """Touches that the recorded BenchEvents describe, (n,) of dtype TOUCH."""
         return self._bag.touches if self._bag.holds(BENCH_EVENT) else super().touches
 
     @cached_property
     def events(self) -> Sequence[Event]:
-        """Recorded events."""
+        """Recorded BenchEvents, in the order of recording."""
         return self._bag.events if self._bag.holds(BENCH_EVENT) else super().events
 
     @cached_property
@@ -131,37 +137,37 @@ class GivenByBag(Given):
 
     @cached_property
     def live(self) -> LiveConditions:
-        """Measurements that the live detector could use."""
+        """Conditions of the evaluation by the live detector."""
         return live_conditions(self._bag)
 
     @cached_property
     def statuses(self) -> Sequence[CaptureStatus]:
-        """Recorded statuses of the live detector."""
+        """Recorded statuses of the live detector, in order."""
         return self._bag.statuses if self._bag.holds(CAPTURE_STATUS) else super().statuses
 
     @cached_property
     def criteria(self) -> Detector | None:
-        """Recorded criteria of the live detector."""
+        """Recorded criteria of the live detector; None if not recorded."""
         return self._bag.criteria if self._bag.holds(CAPTURE_CRITERIA) else super().criteria
 
     @cached_property
     def extremes(self) -> Extremes | None:
-        """Recorded peak loads."""
+        """Recorded extremes of strokes, torsion and forces; None if not recorded."""
         return self._bag.extremes
 
     @cached_property
     def trace(self) -> np.ndarray:
-        """Recorded contact at the integrator's steps."""
+        """Recorded state of the contact at the integrator's steps, (n,) of dtype TRACE."""
         return self._bag.trace if self._bag.holds(CONTACT_TRACE) else super().trace
 
     @cached_property
     def plan(self) -> LaunchPlan | None:
-        """Launch as it was commanded."""
+        """Launch plan with the mass and drop height that the launcher commanded; None without."""
         return commanded_launch(self._bag, self.scene)
 
     @cached_property
     def evidence(self) -> Sequence[Measured]:
-        """Measurements of the sensors."""
+        """Measurements of poses, buffer and force, as the rules of plausibility read them."""
         return evidence_in(self._bag)
 
 

@@ -1,4 +1,4 @@
-"""The topics of a recording as columns, each decoded at its first use."""
+"""The topics of a recording as columns: an array for each field.  Decoded at their first use."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ Columns = Mapping[str, np.ndarray]
 
 
 class RecordedTopics:
-    """The topics of a file or a folder of files, under the bench's names.
+    """The topics of a recording, which is a file or a folder of files.
 
-    A topic of the bench (a :class:`Topic`) must have its type in the file; a name reads whatever
-    the file has under it.
+    A method takes a topic as an object of :class:`Topic` or as a name.  A Topic is one of the bench
+    and must have its own type in the file.  A name gives whatever the file contains under it.  The
+    names are the bench's, where topics were recorded under other names.
     """
 
     def __init__(self, path: Path, contents: Contents) -> None:
@@ -45,28 +46,28 @@ class RecordedTopics:
 
     @property
     def topics(self) -> dict[str, int]:
-        """Number of messages by topic, as named in the file."""
+        """Number of messages by name of the topic."""
         return {name: len(messages) for name, messages in self._contents.messages.items()}
 
     @property
     def types(self) -> dict[str, str]:
-        """Type of every topic (``package/msg/Name``), as named in the file."""
+        """Type of the messages (``package/msg/Name``) by name of the topic."""
         return self._contents.types
 
     def has(self, topic: str | Topic) -> bool:
-        """Return True if a topic has messages, of whatever type."""
+        """Return True if there are messages under the name of a topic, of whatever type."""
         name = topic if isinstance(topic, str) else topic.name
         return bool(self._contents.messages.get(self._resolved(name)))
 
     def holds(self, topic: Topic) -> bool:
-        """Return True if the file holds messages of the topic, and of its type."""
+        """Return True if there are messages of the topic, and they have its type."""
         name = self._resolved(topic.name)
         is_typed = self._contents.types.get(name) == topic.type_name
         return is_typed and bool(self._contents.messages[name])
 
     @property
     def typed(self) -> dict[Topic, list[bytes]]:
-        """Messages by topic of the bench, for each topic that has its type in the file."""
+        """Serialised messages by topic of the bench, for each that has its own type in the file."""
         return {
             topic: messages
             for name, messages in self._contents.messages.items()
@@ -74,23 +75,29 @@ class RecordedTopics:
         }
 
     def log_times(self, topic: str | Topic) -> np.ndarray:
-        """Return the log times of a topic's messages, (n,) int64, ns, ascending."""
+        """Return the log times of a topic's messages, (n,) int64, ns, ascending.
+
+        RecordingError if the topic is given as a Topic and has another type in the file.
+        """
         return np.array(self._contents.log_times.get(self._resolved(topic), ()), dtype=np.int64)
 
     def raw(self, topic: str | Topic) -> list[bytes]:
         """Return the serialised messages of a topic, in the order of their log times.
 
-        RecordingError if the topic is one of the bench's and has another type in the file.
+        RecordingError if the topic is given as a Topic and has another type in the file.
         """
         return list(self._contents.messages.get(self._resolved(topic), ()))
 
     def columns(self, topic: str | Topic) -> Columns:
-        """Return a topic's fields by path, see :func:`capture_sim.messages.cdr.columns`.
+        """Return the fields of a topic's messages as arrays, by path, e.g. ``header.stamp.sec``.
 
-        Empty for a topic without messages.  A topic of the bench has all fields of its type: those
-        that came after the recording have their defaults; a topic given by name has those in the
-        file.  RecordingError if the messages do not fit their definition, if that lacks a field
-        without a default, or if a topic of the bench has another type in the file.
+        Empty for a topic without messages; see :func:`capture_sim.messages.cdr.columns`.  A Topic
+        gets all fields of its type: fields that are newer than the recording have their defaults.
+        A name gets the fields that the file defines.
+
+        MessageError, a RecordingError, if a message does not fit its definition.  RecordingError if
+        a Topic has another type in the file, or if the file's definition lacks a field that has no
+        default.
         """
         name = self._resolved(topic)
         if isinstance(topic, Topic) and self._contents.messages.get(name):
@@ -105,7 +112,7 @@ class RecordedTopics:
         return self._completed[topic]
 
     def columns_if_typed(self, topic: Topic) -> Columns:
-        """Return a topic's columns; empty if the file has it with another type."""
+        """Return a topic's columns as :meth:`columns`; empty if it has another type in the file."""
         return self.columns(topic) if self.holds(topic) else {}
 
     def _decoded(self, name: str) -> Columns:
@@ -123,9 +130,10 @@ class RecordedTopics:
             raise self._unreadable(name, error) from None
 
     def store_of_topic(self, topic: Topic) -> Typestore:
-        """Return the store of a topic's type; RecordingError if that lacks a field without default.
+        """Return the types of the file, with which a topic's messages are decoded.
 
-        All that reads fields of the bench's topics comes by here.
+        RecordingError if the topic's type lacks a field there that has no default.  Whatever reads
+        fields of a Topic calls this method, so the check is made once for all.
         """
         store = self.store_for(topic.type_name)
         try:
@@ -135,7 +143,10 @@ class RecordedTopics:
         return store
 
     def store_for(self, type_name: str) -> Typestore:
-        """Return a store that knows the type as this file defines it."""
+        """Return a store of types that has this type as the file defines it.
+
+        RecordingError if the definition in the file cannot be read.
+        """
         text = self._contents.schemas.get(type_name, "")
         try:
             return store_of(type_name, text, self._contents.encodings.get(type_name, ""))
@@ -146,7 +157,10 @@ class RecordedTopics:
             ) from None
 
     def readable(self, topic: Topic) -> tuple[Columns, np.ndarray]:
-        """Return columns and log times, ns, of the messages of a topic that fit its type."""
+        """Return columns, and log times (n,), ns, of a topic's messages, without damaged ones.
+
+        MessageError if none of the messages fits its definition.
+        """
         log_times = self.log_times(topic)
         try:
             return self.columns(topic), log_times
@@ -168,26 +182,30 @@ class RecordedTopics:
         return True
 
     def measured(self, topic: Topic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return stamps (n,), ns, values (n, m) and log times (n,), ns, of a detector's source.
+        """Return stamps (n,), ns, values (n, m) and log times (n,), ns, of a topic that measures.
 
-        Rates that a message lacks are NaN.  Messages that cannot be decoded, and joint states of
-        other joints, are left out (:meth:`unused`).  MessageError if no message can be decoded.
+        The topic is one of those that give the detector chaser, target or buffer; the values are
+        the pose or the deflections, and then their rates, NaN if a message lacks them.  Messages
+        that cannot be decoded, that have a stamp of 0, and joint states of other joints are left
+        out; :meth:`unused` counts them.  MessageError if a message cannot be decoded and no other
+        gives a measurement.
         """
         if topic.name not in self._measured:
             self._measured[topic.name] = self._measurements(topic)
         return self._measured[topic.name]
 
     def measures(self, topic: Topic) -> bool:
-        """Return True if a message of a detector's source gives a measurement, finite or not."""
+        """Return True if a message of a topic that measures gives values, finite or not."""
         try:
             return self.measured(topic)[0].size > 0
         except MessageError:
             return False
 
     def unused(self, topic: Topic) -> str:
-        """Return how many messages of a detector's source give no measurement, and why.
+        """Return how many messages of a topic that measures give no measurement, and why.
 
-        Empty if all do.
+        The text names the three most frequent reasons.  It is empty if all messages give one, and
+        if the topic has no messages or another type.
         """
         if not self.holds(topic):
             return ""

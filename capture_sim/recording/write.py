@@ -1,4 +1,4 @@
-"""Writing one run as one MCAP file that ``ros2 bag`` takes as it is."""
+"""Writes a run to an MCAP file, which ``ros2 bag`` can read and play."""
 
 from __future__ import annotations
 
@@ -29,13 +29,28 @@ END_METADATA = "capture_sim_end"
 class RunWriter:
     """Writes one run: ``with RunWriter(path, run) as writer: writer.write(topic, data, time)``.
 
-    Scene and description precede the first message and so survive a kill.  The file must not
-    exist, unless it is a device; ``name`` is the one that it will have, by default the path's.
-    ``topics`` are those that may be written; the file lists them even without a message.
-    ``metadata`` are further entries for the metadata record.  ``remaps`` are the names in the file
-    of topics that do not have the bench's; the metadata record lists them.
+    The scene and the description of the run precede the first message and so survive a kill.
 
-    RecordingError, here and from the methods, if the file cannot be written or is closed.
+    Parameters
+    ----------
+    path
+        The file.  It must not exist, unless it is a device.
+    run
+        Description of the run.
+    metadata
+        Further entries for the metadata record at the start of the file.
+    topics
+        The topics that may be written.  The file lists them even without a message.
+    name
+        The name that the file will finally have, if it has another one while it is written.
+    remaps
+        The names of topics in the file, where they are not the bench's.  The metadata record lists
+        them.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written; the methods raise it too, and ``write`` also after ``close``.
     """
 
     def __init__(
@@ -74,7 +89,8 @@ class RunWriter:
     def write(self, topic: Topic, data: bytes, time: int | None) -> None:
         """Write a serialised message of one of the file's topics.
 
-        ``time`` is the log and publish time, ns; None for the latest so far.
+        ``time`` is the log and publish time, ns; None for the latest so far.  KeyError if the topic
+        is not one of the file's.
         """
         if self._file is None:
             raise RecordingError(f"{self._shown_path}: already closed")
@@ -87,13 +103,13 @@ class RunWriter:
                 raise
 
     def flush(self) -> None:
-        """End the chunk in progress and hand all to the operating system."""
+        """Hand all that was written to the operating system, so that it survives a kill."""
         if self._file is not None:
             with self._checked():
                 self._writer.flush()
 
     def close(self) -> None:
-        """Write index and summary and close the file; a second call does nothing."""
+        """Write the entries ``closing``, index and summary, and close the file, if it is open."""
         if self._file is None:
             return
         with self._checked():
@@ -121,7 +137,7 @@ class RunWriter:
 
     @contextmanager
     def _checked(self) -> Iterator[None]:
-        """Close the file as it is and raise RecordingError if the system cannot write it."""
+        """Turn an OSError of the block into a RecordingError, and close the file as it is then."""
         try:
             yield
         except OSError as error:
@@ -134,7 +150,7 @@ class RunWriter:
 
 
 def describing(run: RunDescription) -> dict[str, str]:
-    """Return the entries of a file's metadata record that describe its run."""
+    """Return the entries that describe a run in the metadata record of its file, as texts."""
     return {
         "run_id": run.run_id,
         "name": run.name,
@@ -147,7 +163,7 @@ def describing(run: RunDescription) -> dict[str, str]:
 
 
 def _add(topic: Topic, topic_name: str, bag: BagFile) -> int:
-    """Write a topic of the bench under a name; return the channel's id."""
+    """Add a topic to the file under a name; return the id of its channel."""
     name, digest = topic.type_name, type_hash(topic.type_name)
     entry = TopicEntry(topic_name, name, [qos_profile(topic)], digest, 0)
     metadata = {"offered_qos_profiles": _offered(topic), "topic_type_hash": digest}

@@ -1,4 +1,4 @@
-"""Plots of a calibration: each trial measured and simulated, correlations, and the prediction."""
+"""Plots of a calibration: each trial as measured and simulated, correlations, and prediction."""
 
 from __future__ import annotations
 
@@ -17,14 +17,18 @@ if TYPE_CHECKING:
     from capture_sim.studies.calibration.calibrate import Calibration
     from capture_sim.studies.calibration.prediction import Prediction
 
-#: Residuals are drawn up to so many standard deviations.
+#: Residuals beyond this number of standard deviations are drawn at this number.
 _SHOWN = 6.0
-#: Points that are drawn of a series.
+#: A measured series with twice as many points or more is thinned to about this number.
 _MAX_POINTS = 3000
 
 
 def draw_calibration(found: Calibration) -> dict[str, Figure]:
-    """Return the plots of a calibration by name: a trial each, correlation, prediction."""
+    """Return the figures of a calibration by name.
+
+    There is one for each trial, under the name of its file.  "correlation" is there if several
+    parameters were fitted, "prediction" if a new trial was predicted.
+    """
     assert found.problem is not None
     figures: dict[str, Figure] = {}
     for number, trial in enumerate(found.problem.trials):
@@ -39,7 +43,10 @@ def draw_calibration(found: Calibration) -> dict[str, Figure]:
 
 
 def _draw_trial(found: Calibration, number: int) -> Figure:
-    """Draw the measurements and the simulation of a trial, and the residuals in units of noise."""
+    """Return the figure of a trial: what was measured and simulated, and the residuals beside.
+
+    A residual is measured less simulated, in standard deviations of the noise.
+    """
     assert found.problem is not None
     assert found.linear is not None
     trial = found.problem.trials[number]
@@ -69,7 +76,7 @@ def _draw_trial(found: Calibration, number: int) -> Figure:
 
 
 def _draw_correlation(found: Calibration) -> Figure:
-    """Draw the correlations of the errors."""
+    """Return the figure of the correlations between the errors of the fitted parameters."""
     count = len(found.names)
     figure = new_figure(0.62 * count + 3.2, 0.55 * count + 2.2)
     axes = figure.add_subplot()
@@ -88,7 +95,7 @@ def _draw_correlation(found: Calibration) -> Figure:
 
 
 def _draw_prediction(prediction: Prediction) -> Figure:
-    """Draw stroke and torsion of the trial to come with their bands."""
+    """Return the figure of a predicted trial: each predicted series with its band of 95 %."""
     names = list(prediction.series)
     figure, axes = subplots(10.0, 3.0 * len(names), len(names), 1, font=12.0, sharex=True)
     for each, name in zip(axes.flat, names, strict=True):

@@ -1,4 +1,4 @@
-"""Plots of a design: candidates, front and knee over pairs of objectives; progress of one."""
+"""Plots of a design: the buffers that were tried, over pairs of objectives, and the best ones."""
 
 from __future__ import annotations
 
@@ -27,10 +27,13 @@ _ROOM, _LINEAR_ROOM = 1.7, 0.3
 
 
 def draw_design(design: Design, picked: int | None = None) -> Figure:
-    """Return a figure of the candidates and the front, of the rows' values and of their springs.
+    """Return the figure of a design.
 
-    With one objective it is over the first limited load, with the progress of the search beside.
-    ``picked`` is the index of the picked row; None without a buffer.
+    It has a panel for each pair of objectives, with all candidates (the buffers that were tried)
+    and the front.  With one objective it has one, over the first load with a limit.  A further
+    panel shows the values of the rows (the buffers that the design offers), or, if there is at most
+    one row, the progress of the search.  The last one shows force over stroke of some rows.
+    ``picked`` is the index of the row that the user has picked; None if none is.
     """
     objectives = design.requirements.objectives
     pairs = list(itertools.combinations(objectives, 2))
@@ -73,7 +76,10 @@ def _title(design: Design, width: int) -> str:
 
 
 def _draw_values(axes: Axes, design: Design, picked: int | None) -> None:
-    """Draw the free values of the rows as parallel coordinates, each over its own range."""
+    """Draw the values that were searched, of each row, as parallel coordinates.
+
+    Each value is drawn as its place in its search range, from 0 to 1.
+    """
     variables = design.variables
     colours = _colours(len(design.rows))
     at = np.arange(len(variables))
@@ -97,12 +103,16 @@ def _draw_values(axes: Axes, design: Design, picked: int | None) -> None:
 
 
 def _colours(count: int) -> np.ndarray:
-    """Return the colours of rows, (count, 4): the same in all panels."""
+    """Return the colours of ``count`` rows, (count, 4) RGBA, which are the same in all panels."""
     return np.asarray(colormaps["viridis"](np.linspace(0.0, 0.9, count)))
 
 
 def _draw_springs(axes: Axes, design: Design, picked: int | None) -> None:
-    """Draw the axial force of the buffer over its stroke until the verdict, of a few rows."""
+    """Draw the axial force of the buffer over its stroke until the verdict.
+
+    Drawn are the first, the last and the picked row (else the knee), and the scene's own buffer,
+    each only if it captures.
+    """
     last = len(design.rows) - 1
     shown = sorted({0, last, design.knee if picked is None else picked})
     runs = [(f"row {k + 1}" if last else "design", design.rows[k].candidate) for k in shown]
@@ -123,7 +133,7 @@ def _draw_springs(axes: Axes, design: Design, picked: int | None) -> None:
 
 
 def _of(candidates: Sequence[Candidate], measure: Measure) -> np.ndarray:
-    """Return a load of candidates in the unit of tables."""
+    """Return the values of a load of candidates, (n,), in the unit of tables; NaN without one."""
     values = [each.loads.get(measure.key, math.nan) for each in candidates]
     return np.array(values, dtype=float) * measure.load.factor
 
@@ -136,9 +146,10 @@ def _draw_pair(
     picked: int | None,
     third: Measure | None = None,
 ) -> None:
-    """Draw the candidates, the front, the knee, the own buffer and the limits over two loads.
+    """Draw candidates, front, knee, picked row, the scene's own buffer and limits over two loads.
 
-    Rows have the colour of the third objective, if there is one.
+    ``across`` is on the horizontal axis, ``up`` on the vertical one.  The front has the colours of
+    the load ``third``, if it is given.
     """
     history = design.history
     stays = design.requirements.allow_leaving
@@ -207,7 +218,11 @@ def _draw_pair(
 
 
 def _set_scale(axes: Axes, name: str, measure: Measure, values: np.ndarray) -> None:
-    """Show the range of some values with room around: loads on a logarithmic axis."""
+    """Set the scale of an axis, "x" or "y", so that it shows some values with room around them.
+
+    It is logarithmic if all values are positive, else linear.  A capture range always has a linear
+    axis from 0 to 100 %.
+    """
     values = values[np.isfinite(values)]
     set_limits = axes.set_xlim if name == "x" else axes.set_ylim
     positive = values[values > 0.0]
@@ -230,7 +245,7 @@ def _set_scale(axes: Axes, name: str, measure: Measure, values: np.ndarray) -> N
 
 
 def _draw_progress(axes: Axes, design: Design) -> None:
-    """Draw the best value of the objective so far over the candidates."""
+    """Draw the best value of the first objective so far over the number of the candidate."""
     objective = design.requirements.objectives[0]
     for name, is_drawn, colour in (
         ("scene alone", False, style.BLUE),

@@ -1,4 +1,4 @@
-"""A design as one page of HTML: front, chosen buffer, check by draws, limits with their costs."""
+"""Writes the report of a design as one page of HTML, with its figure and its tables."""
 
 from __future__ import annotations
 
@@ -15,12 +15,16 @@ from capture_sim.base.software import own_version
 from capture_sim.base.tables import Section
 from capture_sim.viewing.canvas import small_png
 
-#: Of pictures on a page that is read on a screen.
+#: Resolution of the figure on the page, dots per inch, enough for a screen.
 _DPI = 90.0
 
 
 def save_design_page(title: str, sections: Sequence[Section], figure: Figure, path: Path) -> Path:
-    """Write the page of a design as one complete file; return its path."""
+    """Write the page of a design with its tables and its figure to a file; return its path.
+
+    The figure is within the file.  RecordingError if it cannot be written; an earlier file of this
+    name then stays.
+    """
     environment = Environment(loader=PackageLoader("capture_sim.viewing", "."), autoescape=True)
     text = environment.get_template("design.html.j2").render(
         title=title,

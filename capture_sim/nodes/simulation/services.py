@@ -1,7 +1,7 @@
-"""The services of ``simulation_interfaces`` on the simulator's control.
+"""The services by which others start, stop, pause and reset the simulator.
 
-With that package's own types where it is installed, else with ours, which have the same
-names and fields.
+They are those of the ROS package ``simulation_interfaces``.  Where it is installed, its own types
+are used, else those of capture_sim, which have the same names and fields.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from capture_sim.nodes.simulation.control import Code, Reply, SimulationControl
 
 
 def definitions() -> str:
-    """Return the package whose service definitions are used."""
+    """Return the package whose service types are used: simulation_interfaces or capture_sim."""
     try:
         importlib.import_module("simulation_interfaces.srv")
     except ImportError:
@@ -26,7 +26,10 @@ def definitions() -> str:
 
 
 class SimulationServices:
-    """Serves ``<node>/set_simulation_state`` and its kin for a control."""
+    """Serves get_simulation_state, set_simulation_state and reset_simulation of a node.
+
+    ``control`` carries the requests out.
+    """
 
     def __init__(self, node: BenchNode, control: SimulationControl) -> None:
         self._control = control
@@ -42,7 +45,7 @@ class SimulationServices:
             node.create_service(service, f"~/{_snake(name)}", node.guarded(callback))
 
     def close(self) -> None:
-        """Give the last reply time to arrive."""
+        """Wait until the last reply has had time to arrive, before the node ends."""
         time.sleep(max(0.0, self._replied_at + TRANSIT_TIME - time.monotonic()))
 
     def _get_state(self, _: Any, response: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Runs of the simulator, one at a time: announced, launched, stepped, ended, left."""
+"""The runs of the simulator node, one at a time, from their announcement to their end."""
 
 from __future__ import annotations
 
@@ -39,14 +39,22 @@ from capture_sim.scene.parts import Scene
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """How a run has ended: why it failed, if it did, and by which request, if by one."""
+    """How a run has ended.
+
+    ``failure`` says why it failed; it is empty if it did not.  ``cut`` says what ended the run
+    before its end: a request of the user, or the launcher's abort; None if nothing did.
+    """
 
     failure: str = ""
     cut: CutKind | None = None
 
 
 class LauncherLink:
-    """Commands of a launcher for the present run."""
+    """Takes the commands of a launcher node for the present run.
+
+    ``armed`` is the launcher's command to arm, with mass and drop height, None before it;
+    ``is_released`` is True after its command to release.
+    """
 
     def __init__(self, control: SimulationControl) -> None:
         self._control = control
@@ -56,16 +64,20 @@ class LauncherLink:
         self.is_released = False
 
     def begin(self, run_id: str, scene: Scene) -> None:
-        """Take the commands for this run from now on."""
+        """Forget earlier commands, and take those for this run from now on."""
         self._run_id, self._scene = run_id, scene
         self.armed, self.is_released = None, False
 
     def pending(self) -> str:
-        """Return the reason why the run waits; empty once the chaser is released."""
+        """Return the reason why the run waits; empty once the launcher has armed and released."""
         return "" if self.armed and self.is_released else "waiting for the release"
 
     def receive(self, command: Any) -> None:
-        """Take a LaunchCommand; MessageError if it cannot be used."""
+        """Take a LaunchCommand; ignore one for another run.
+
+        MessageError if the scene cannot be launched with its mass and height, or if its action is
+        unknown.  The action ABORT ends the run.
+        """
         if command.run_id != self._run_id or self._scene is None:
             return  # kept from an earlier run, for late subscribers
         if command.action == LaunchAction.ARM:
@@ -83,9 +95,11 @@ class LauncherLink:
 
 
 class SimulatedRuns:
-    """Runs scenes for a node.  Create it after all else of the node: it joins the roll.
+    """Runs scenes for the simulator node.
 
-    ``wait_for``: the nodes that a run waits for, ``start_timeout`` s (wall) at most.
+    Create it after all other publishers and subscriptions of the node, because it creates those of
+    bench/roll, where nodes report that they are ready.  ``wait_for`` are the nodes that a run waits
+    for, by role or name, for ``start_timeout``, s (wall), at most.
     """
 
     def __init__(
@@ -112,7 +126,12 @@ class SimulatedRuns:
         self._announcer = Announcer(node, self._roll, RunSource.SIMULATION, wait_for, control.check)
 
     def run(self, scene: Scene) -> RunOutcome:
-        """Wait for the others, run a scene, and wait until they have written it."""
+        """Run a scene, and return how the run has ended.
+
+        The run begins when the awaited nodes are there and ready, and the launcher, if there is
+        one, has released.  It ends when the other nodes have received and written it.
+        KeyboardInterrupt is passed on after the end of the run has been announced.
+        """
         gc.collect()
         self._control.begin()
         telemetry: BenchTelemetry | None = None
@@ -149,13 +168,13 @@ class SimulatedRuns:
         return RunOutcome(failure, cut)
 
     def has_dropped_participants(self) -> bool:
-        """Return True if a reader was dropped that takes part in runs."""
+        """Return True if a node that takes part in runs was dropped because it read nothing."""
         return any(
             part.node in self._node.topic_publishers.dropped for part in self._roll.parts.values()
         )
 
     def _begin_run(self, scene: Scene) -> tuple[BenchTelemetry, bool]:
-        """Announce the run; return its telemetry, and True if a launcher arms and releases."""
+        """Announce a run; return what makes its messages, and True if a launcher takes part."""
         taking_part = self._announcer.participants()
         run_id = f"{number_of(self._roll.id)}{next(self._numbers):08x}"
         description = RunDescription.of(
@@ -172,7 +191,7 @@ class SimulatedRuns:
         return telemetry, LAUNCHER in taking_part.roles
 
     def _simulate(self, bench: Bench, telemetry: BenchTelemetry) -> str:
-        """Send the run; return why it failed, or an empty text."""
+        """Step the run and send its messages; return why it failed, or an empty text."""
         name = bench.scene.name
         self._node.get_logger().info(f"{name}: released")
         stepping = Stepping(bench, telemetry, self._control, self._thrust)
@@ -185,14 +204,20 @@ class SimulatedRuns:
         return failure
 
     def _end_run(self, telemetry: BenchTelemetry, reason: str, extremes: str = "") -> None:
-        """Wait until all that was sent has arrived, then report the counts."""
+        """Send the messages that are left, then publish how many messages the run had.
+
+        Between the two, wait until all that was sent has arrived, for ``reader_timeout`` at most.
+        """
         for sent in telemetry.rest():
             self._node.publish(sent)
         self._announcer.await_read()
         self._node.publish(telemetry.end(reason, extremes))
 
     def _await_participants(self, name: str) -> str:
-        """Wait until the other nodes have received and written the run; return their failures."""
+        """Wait until the other nodes have received and written the run; end its announcement.
+
+        Return what they failed at as a text, empty if they did not.
+        """
         try:
             self._announcer.await_done()
         except CaptureSimError as error:
@@ -205,9 +230,11 @@ class SimulatedRuns:
         return ""
 
     def _check_part(self, part: RollPart) -> None:
-        """Raise CaptureSimError during a trial, or if another simulator or player came first.
+        """Raise CaptureSimError if this simulator must not publish beside another node.
 
-        Two of them publish the same streams, and no stream would be complete.
+        ``part`` is what that node reports of itself.  It is one that is in a trial of a real bench,
+        or a simulator or player that started earlier: two of these would publish the same topics,
+        and no topic would be complete.
         """
         self._announcer.check_part(part)
         if part.role in (SIMULATOR, PLAYER) and part.number < number_of(self._roll.id):
@@ -219,7 +246,11 @@ class SimulatedRuns:
 
 
 def _plan(scene: Scene, armed: Any) -> LaunchPlan:
-    """Return the launch with the mass and height that a launcher has set, if one has."""
+    """Return the launch plan of a scene.
+
+    ``armed`` is the launcher's command to arm, whose mass and drop height replace those of the
+    scene; None without a launcher.  CaptureSimError if the scene cannot be launched so.
+    """
     if scene.string is None or armed is None:
         return plan_launch(scene)
     fitted = replace(

@@ -1,4 +1,4 @@
-"""One run, stepped in time: computed ahead in blocks, paced, and sent sample by sample."""
+"""Takes one run through its time: computes it ahead in blocks and sends it sample by sample."""
 
 from __future__ import annotations
 
@@ -22,10 +22,12 @@ LARGEST_BLOCK = 200
 
 
 class Stepping:
-    """Steps a bench from its release to its end and sends its messages.
+    """Steps a bench from its release to the end of its run and sends its messages.
 
-    ``control`` is asked before every sample, and its pacer waited for.  ``count``: samples sent;
-    ``t`` (s) and ``residual`` (J): simulated time and energy residual of the last one.
+    Before every sample it calls ``control.tick``, which waits for the sample's time, and raises
+    RunCut if somebody has asked to end the run.  Attributes: ``count`` is the number of samples
+    that were sent; ``t`` (s) and ``residual`` (J) are the simulated time and the energy residual of
+    the last one.
     """
 
     def __init__(
@@ -43,11 +45,12 @@ class Stepping:
         self._thrust = thrust
 
     def run(self, send: Callable[[Topic, Any], bool], show: Callable[[np.void], None]) -> str:
-        """Publish the run; return the reason why it failed, or an empty text.
+        """Send the messages of the run; return the reason why it failed, or an empty text.
 
-        ``send`` is called with every topic and serialised message, and returns True if the message
-        was sent.  ``show`` is called after that, with every sample of the periodic messages.  After
-        RunCut or KeyboardInterrupt, messages that were prepared ahead do not count as sent.
+        ``send`` is called with the topic and the bytes of every message, and returns True if the
+        message was sent.  ``show`` is called with each sample of which the messages at ``run.rate``
+        were sent, after them.  RunCut and KeyboardInterrupt end the run and are passed on; messages
+        that were made ahead are then not counted as sent.
         """
         made, sent = dict(self._telemetry.by_topic), Counter[Topic]()
         failure = ""
@@ -81,7 +84,10 @@ class Stepping:
 
     @property
     def figures(self) -> str:
-        """Progress and pace of the run, in words."""
+        """Simulated time, wall time, their ratio, and the lateness of the samples, as one text.
+
+        The lateness is added once the pacer has stopped, and only of a paced run.
+        """
         pacer = self._control.pacer
         text = f"{self.t:.2f} s simulated in {pacer.wall:.2f} s ({pacer.achieved:.5g} x real time)"
         late = None if pacer.running else pacer.lateness()

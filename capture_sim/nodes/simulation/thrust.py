@@ -1,4 +1,7 @@
-"""Commands of controllers to the scene's thrusters: taken, checked, awaited in lock-step."""
+"""Takes the thrust commands of controller nodes, checks them, and waits for them in lock-step.
+
+A thrust command is a wrench: forces along the axes of a vehicle, and the torque about z.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +29,10 @@ _VEHICLES = ((CHASER_CMD_WRENCH, CHASER_FRAME), (TARGET_CMD_WRENCH, TARGET_FRAME
 
 
 class CommandedVehicle:
-    """The newest command for one vehicle.
+    """Keeps the newest thrust command for one vehicle.
 
-    ``answers``: the run waits for the answer of its controller to each of its odometry messages.
+    ``answers`` is True if its controller answers: simulated time then waits for a command after
+    each odometry message of the vehicle.
     """
 
     def __init__(self, node: BenchNode, topic: Topic, frame: str) -> None:
@@ -48,13 +52,15 @@ class CommandedVehicle:
         return [full_name(one) for one in self._node.get_publishers_info_by_topic(resolved)]
 
     def has_answered(self, stamp: int) -> bool:
-        """Return True if a command with this stamp (ns) has come."""
+        """Return True if the newest command has this stamp (ns); it may be one that is rejected."""
         return self._stamp == stamp
 
     def take(self, now: int, timeout: float) -> BodyWrench | None:
-        """Return the command that has come since the last call, None without one.
+        """Return the wrench of the command that has come since the last call; None without one.
 
-        ``now`` (ns): simulated time; a command older than ``timeout`` (s) is rejected.
+        A command is rejected if its stamp is more than ``timeout`` (s) before simulated time
+        ``now`` (ns), or after it; a stamp of 0 is always accepted.  For a rejected command the
+        result is NO_THRUST, so the vehicle coasts.
         """
         wrench, self._wrench = self._wrench, None
         age = 1e-9 * (now - self._stamp)
@@ -85,11 +91,13 @@ class CommandedVehicle:
 
 
 class ThrustCommands:
-    """The thruster commands of nodes for a run.
+    """Gives the thrust commands of other nodes to a run.
 
-    A node in ``wait_for`` that commands a vehicle answers each of its odometry messages with a
-    command of the same stamp.  Simulated time waits for the answer, at most ``timeout()`` s (wall).
-    Commands of other nodes take effect at the next instant of ``run.rate``.
+    A controller that is named in ``wait_for`` must answer each odometry message of its vehicle with
+    a command of the same stamp.  Simulated time waits for the answer for ``timeout()``, s (wall),
+    at most; without one the run fails with CaptureSimError.  Which vehicles have such a controller
+    is fixed when the run begins.  Commands of other nodes take effect at the next instant of
+    ``run.rate``.  ``check`` is called while it waits, and may raise to end the run.
     """
 
     def __init__(
@@ -105,14 +113,20 @@ class ThrustCommands:
         self._timeout = 0.0  # s, of the run's commands
 
     def listen(self, scene: Scene) -> None:
-        """Subscribe to the commands of a scene's thrusters; before its nodes are awaited."""
+        """Subscribe to the commands for the vehicles of a scene that have thrusters.
+
+        Call it before the nodes of the run are awaited, so that their controllers find it.
+        """
         for (topic, frame), name in zip(_VEHICLES, ("chaser", "target"), strict=True):
             has_thruster = getattr(scene.thrusters, name, None) is not None
             if has_thruster and topic not in self._vehicles:
                 self._vehicles[topic] = CommandedVehicle(self._node, topic, frame)
 
     def control(self, scene: Scene) -> Control | None:
-        """Return the controller of a run that begins; None for a scene without thrusters."""
+        """Return the controller for a run that begins, which takes the commands of other nodes.
+
+        None for a scene without thrusters.
+        """
         if scene.thrusters is None:
             return None
         self._timeout = scene.thrusters.timeout
@@ -123,7 +137,7 @@ class ThrustCommands:
         return Control(partial(self._commands, scene))
 
     def report(self, events: Iterable[Event]) -> None:
-        """Log each wrench that has ended for want of a command."""
+        """Log each thrust that ended because no command came in time; ``events``: of the run."""
         for event in events:
             if event.kind is EventKind.THRUST_OFF and "," in event.detail:
                 self._node.get_logger().warning(f"t = {event.t:.3f} s: {event.detail}: it coasts")
