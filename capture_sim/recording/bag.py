@@ -183,11 +183,13 @@ class Bag(RecordedTopics):
 
     @cached_property
     def missing(self) -> tuple[str, ...]:
-        """A line for each topic that lost messages, and for each node that ended the run early.
+        """A line for each way in which the run is incomplete; empty if it is complete.
 
-        Losses are found by the sequence numbers of the messages, and by the numbers of messages
-        that the nodes report at the end of a run (StreamCounts).  The losses of a recording with
-        several runs cannot be counted; its only line states this.
+        There is one for each topic that lost messages or has repeated, disordered or too many ones,
+        and for each node that ended the run early or did not report how many messages it sent.
+        Losses are found by sequence numbers of messages and by these reports (StreamCounts).  A
+        topic whose losses cannot be counted has a line too.  The losses of a recording with several
+        runs cannot be counted; its only line states this.
         """
         if len(self.run_ids) > 1:
             return (f"contains {len(self.run_ids)} runs: lost messages cannot be counted",)
@@ -250,7 +252,10 @@ class Bag(RecordedTopics):
 
     @property
     def name(self) -> str:
-        """Name of the experiment; if none is recorded, the file's or folder's name, no suffix."""
+        """Name of the experiment; if none is recorded, the file's or folder's name.
+
+        Of that, the endings of a recording are left out, e.g. ``.mcap`` or ``.mcap.zstd``.
+        """
         return self.metadata.get("name") or stem_of(self.path)
 
     @property

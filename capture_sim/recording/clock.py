@@ -56,11 +56,11 @@ class Clock(NamedTuple):
         return (stamps - self.release) / 1e9
 
     def since_by_trial(self, stamps: np.ndarray) -> np.ndarray:
-        """Return stamps of a node on a real bench, ns, as times since the release, s.
+        """Return stamps (n,), ns, that may be by two clocks, as times since the release, s.
 
-        A node uses the clock of the launcher and the announcement until it knows the clock of the
-        poses, so a topic may have stamps by both.  Each stamp counts by the clock on which it is
-        nearer to the release.
+        On a real bench a node stamps by the clock of the launcher and the announcement until it
+        knows the clock of the poses, so a topic may have stamps by both.  Each stamp counts by the
+        clock on which it is nearer to the release.  In a simulated run the clocks are the same.
         """
         is_trial = np.abs(stamps - self.trial_release) < np.abs(stamps - self.release)
         return (stamps - np.where(is_trial, self.trial_release, self.release)) / 1e9

@@ -1,8 +1,9 @@
 """Scenes as YAML text: the same bytes as PyYAML's ``safe_dump`` writes, but faster.
 
 Every result contains the hash of its scene's text, and PyYAML's emitter takes twice as long as a
-complete run.  Only a field whose text needs quotes or escapes is written by PyYAML.  Recordings of
-all versions contain such hashes, so the bytes must not change.
+complete run.  PyYAML still writes each top-level field that contains a text which may need quotes,
+or a number that is not finite.  Recordings of all versions contain such hashes, so the bytes must
+not change.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ _OTHER = re.compile(r"(?i:null|yes|no|true|false|on|off)")
 
 
 class _NotPlainError(Exception):
-    """A value that this module leaves to PyYAML: a text that needs quotes, or NaN or infinity."""
+    """A value that is left to PyYAML: a text that may need quotes, or NaN or infinity."""
 
 
 def yaml_text(part: Any) -> str:
