@@ -32,8 +32,9 @@ def draw_calibration(found: Calibration) -> dict[str, Figure]:
     assert found.problem is not None
     figures: dict[str, Figure] = {}
     for number, trial in enumerate(found.problem.trials):
-        stem = Path(trial.name).stem or f"{number}"
-        name = stem if stem not in (*figures, "correlation", "prediction") else f"{stem}_{number}"
+        name = Path(trial.name).stem or f"{number}"
+        while name in (*figures, "correlation", "prediction"):
+            name = f"{name}_{number}"
         figures[name] = _draw_trial(found, number)
     if len(found.names) > 1:
         figures["correlation"] = _draw_correlation(found)
