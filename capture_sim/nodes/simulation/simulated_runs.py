@@ -109,7 +109,7 @@ class SimulatedRuns:
         wait_for: Sequence[str],
         start_timeout: float,
     ) -> None:
-        #: A trial of a real bench was on, beside which nothing may be published.
+        #: True if the last failed run failed because a trial of a real bench was running.
         self.has_met_trial = False
         self._node, self._control, self._start_timeout = node, control, start_timeout
         self._launcher = LauncherLink(control)

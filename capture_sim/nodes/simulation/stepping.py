@@ -15,9 +15,9 @@ from capture_sim.messages.topics import Topic
 from capture_sim.nodes.simulation.control import RunCut, SimulationControl
 from capture_sim.nodes.simulation.thrust import ThrustCommands
 
-#: Samples that the core computes at a time stand for no more wall time than this, s ...
+#: The samples of one block stand for at most this wall time, s, if they are two or more.
 BLOCK_TIME = 0.01
-#: ... and are no more than this.
+#: Maximum number of samples of a block.
 LARGEST_BLOCK = 200
 
 

@@ -42,7 +42,7 @@ class CommandedVehicle:
         node.listen(topic, self._receive)
 
     def begin(self) -> None:
-        """Discard all commands that were received before."""
+        """Discard all commands that were received before, as a run begins."""
         self._stamp = -1  # ns, of the newest command
         self._wrench: BodyWrench | None = None
 
