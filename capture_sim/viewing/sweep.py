@@ -97,10 +97,10 @@ def draw_sweep(
     scene.  Only inputs that are numbers are considered:
 
     - ``curve``: one input has several values, and all of them were run equally often.
-    - ``map``: two or more inputs have several values, all combinations of these were run equally
-      often, and no input has a distribution.
-    - ``loads``: an input has a distribution, or not all combinations of the values were run equally
-      often.  In the same cases, ``indices`` if these are given; otherwise ``tornado`` if three runs
+    - ``map``: two or more inputs have several values, all combinations of these were run once, and
+      no input has a distribution.
+    - ``loads``: an input has a distribution, or there is neither a curve nor a map.  In the same
+      cases, ``indices`` if these are given; otherwise ``tornado`` if three runs
       or more were computed and any result varies with any input.
 
     ``indices`` are Sobol's indices of the main loads, from runs of Saltelli's design, with their
@@ -113,14 +113,17 @@ def draw_sweep(
     drawn = [axis for axis in numbers if axis.distribution]
     draws = len(table) // math.prod(len(set(axis.values)) for axis in grid)
     is_grid = grid and len(table.groupby([axis.name for axis in grid])) * draws == len(table)
+    is_curve = is_grid and len(grid) == 1
+    # with a text as a further input, or with rows that repeat, a combination has several outcomes
+    is_map = is_grid and len(grid) > 1 and not drawn and draws == 1
     if computed_rows(table).empty:
         return {}
     figures = {}
-    if is_grid and len(grid) == 1:
+    if is_curve:
         figures["curve"] = draw_curve(table, grid[0], title, limits)
-    elif is_grid and not drawn:
+    elif is_map:
         figures["map"] = draw_map(table, grid, title, limits, ranges or {})
-    if drawn or not is_grid:
+    if drawn or not (is_curve or is_map):
         figures["loads"] = draw_loads(table, title, limits)
         if indices:
             figures["indices"] = draw_indices(indices, sorted(axis.name for axis in drawn), title)

@@ -761,6 +761,27 @@ def test_a_table_that_is_no_cases_is_rejected(text, message, tmp_path):
         read_cases(path)
 
 
+@pytest.mark.parametrize(
+    "rows, drawn",
+    [
+        ([(k, mu, "coulomb") for k in (300, 500) for mu in (0.1, 0.2)], {"map"}),
+        ([(k, mu, "coulomb") for k in (300, 500) for mu in (0.1, 0.2)] * 2, {"loads", "tornado"}),
+        (
+            [(k, mu, law) for k in (300, 500) for mu in (0.1, 0.2) for law in ("coulomb", "tanh")],
+            {"loads", "tornado"},
+        ),
+    ],
+    ids=["each once", "rows repeat", "a text varies too"],
+)
+def test_a_combination_with_several_runs_has_no_map(rows, drawn):
+    """A map has one colour for each combination of two numbers."""
+    cases = pd.DataFrame(rows, columns=["buffer.k_A", "friction.mu", "friction.law"])
+    scene = load_scene("tilt_0", SHORT)
+    samples = samples_of(scene, cases)
+    table = capture_sim.sweep(scene, cases, executor=HERE)
+    assert set(draw_sweep(table, samples.axes, "tilt_0", ())) == drawn
+
+
 def test_a_cell_without_a_value_in_parquet_is_a_blank(tmp_path):
     """As in a CSV file: its row has no value there, and says so."""
     path = tmp_path / "cases.parquet"
