@@ -19,15 +19,16 @@ if TYPE_CHECKING:
 
 #: Residuals beyond this number of standard deviations are drawn at this number.
 _SHOWN = 6.0
-#: A measured series with twice as many points or more is thinned to about this number.
+#: A measured series of twice this number of points or more is drawn with fewer.
 _MAX_POINTS = 3000
 
 
 def draw_calibration(found: Calibration) -> dict[str, Figure]:
     """Return the figures of a calibration by name.
 
-    There is one for each trial, under the name of its file.  "correlation" is there if several
-    parameters were fitted, "prediction" if a new trial was predicted.
+    There is one for each trial, under the name of its file, with the trial's number if that name is
+    taken.  "correlation" is there if several parameters were fitted, "prediction" if a new trial
+    was predicted.
     """
     assert found.problem is not None
     figures: dict[str, Figure] = {}

@@ -30,9 +30,10 @@ def draw_design(design: Design, picked: int | None = None) -> Figure:
     """Return the figure of a design.
 
     It has a panel for each pair of objectives, with all candidates (the buffers that were tried)
-    and the front.  With one objective it has one, over the first load with a limit.  A further
-    panel shows the values of the rows (the buffers that the design offers), or, if there is at most
-    one row, the progress of the search.  The last one shows force over stroke of some rows.
+    and the front.  With one objective it has one, over the first other load with a limit, else over
+    the largest inward stroke.  A further panel shows the values of the rows (the buffers that the
+    design offers), or, if there is at most one row, the progress of the search.  If there are rows,
+    the last panel shows force over stroke of some of them.
     ``picked`` is the index of the row that the user has picked; None if none is.
     """
     objectives = design.requirements.objectives
@@ -103,7 +104,7 @@ def _draw_values(axes: Axes, design: Design, picked: int | None) -> None:
 
 
 def _colours(count: int) -> np.ndarray:
-    """Return the colours of ``count`` rows, (count, 4) RGBA, which are the same in all panels."""
+    """Return colours of ``count`` rows, (count, 4) RGBA, for the panels of values and forces."""
     return np.asarray(colormaps["viridis"](np.linspace(0.0, 0.9, count)))
 
 
@@ -220,8 +221,8 @@ def _draw_pair(
 def _set_scale(axes: Axes, name: str, measure: Measure, values: np.ndarray) -> None:
     """Set the scale of an axis, "x" or "y", so that it shows some values with room around them.
 
-    It is logarithmic if all values are positive, else linear.  A capture range always has a linear
-    axis from 0 to 100 %.
+    It is logarithmic if there are values and all are positive, else linear.  A capture range always
+    has a linear axis of -4 to 104 %.
     """
     values = values[np.isfinite(values)]
     set_limits = axes.set_xlim if name == "x" else axes.set_ylim
@@ -245,7 +246,11 @@ def _set_scale(axes: Axes, name: str, measure: Measure, values: np.ndarray) -> N
 
 
 def _draw_progress(axes: Axes, design: Design) -> None:
-    """Draw the best value of the first objective so far over the number of the candidate."""
+    """Draw the best value of the first objective so far over the number of the candidate.
+
+    Only candidates that keep all limits count.  Those that were judged with random draws have a
+    curve of their own.
+    """
     objective = design.requirements.objectives[0]
     for name, is_drawn, colour in (
         ("scene alone", False, style.BLUE),

@@ -41,8 +41,8 @@ from capture_sim.scene.parts import Scene
 class RunOutcome:
     """How a run has ended.
 
-    ``failure`` says why it failed; it is empty if it did not.  ``cut`` says what ended the run
-    before its end: a request of the user, or the launcher's abort; None if nothing did.
+    ``failure`` says why it failed; it is empty if it did not.  ``cut`` is a request to end it that
+    came before this outcome, of the user or by the launcher's abort; None without one.
     """
 
     failure: str = ""
@@ -129,8 +129,9 @@ class SimulatedRuns:
         """Run a scene, and return how the run has ended.
 
         The run begins when the awaited nodes are there and ready, and the launcher, if there is
-        one, has released.  It ends when the other nodes have received and written it.
-        KeyboardInterrupt is passed on after the end of the run has been announced.
+        one, has released.  It ends when the other nodes have received and written it.  An error in
+        a callback of the node is raised.  KeyboardInterrupt is passed on after the end of the run
+        has been announced.
         """
         gc.collect()
         self._control.begin()
@@ -216,7 +217,7 @@ class SimulatedRuns:
     def _await_participants(self, name: str) -> str:
         """Wait until the other nodes have received and written the run; end its announcement.
 
-        Return what they failed at as a text, empty if they did not.
+        Return an empty text, or, if some are not done in time, a text that names them.
         """
         try:
             self._announcer.await_done()

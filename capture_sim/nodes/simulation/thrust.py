@@ -93,11 +93,11 @@ class CommandedVehicle:
 class ThrustCommands:
     """Gives the thrust commands of other nodes to a run.
 
-    A controller that is named in ``wait_for`` must answer each odometry message of its vehicle with
-    a command of the same stamp.  Simulated time waits for the answer for ``timeout()``, s (wall),
-    at most; without one the run fails with CaptureSimError.  Which vehicles have such a controller
-    is fixed when the run begins.  Commands of other nodes take effect at the next instant of
-    ``run.rate``.  ``check`` is called while it waits, and may raise to end the run.
+    A controller whose node name is in ``wait_for`` must answer each odometry message of its vehicle
+    with a command of the same stamp.  Simulated time waits for the answer, for ``timeout()``, s
+    (wall), at most; without one the run fails with CaptureSimError.  Which vehicles have such a
+    controller is fixed when the run begins.  Commands of other nodes take effect at the next
+    instant of ``run.rate``.  ``check`` is called while it waits, and may raise to end the run.
     """
 
     def __init__(
