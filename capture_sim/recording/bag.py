@@ -102,15 +102,14 @@ def read_bag(
     """
     path = Path(path)
     contents = read_contents(path, ratio)
-    try:
-        remap(contents, remaps or {})
-    except RecordingError as error:
-        raise RecordingError(f"{path}: {error}") from None
+    remap(path, contents, remaps or {})
     return Bag(path, contents, release)
 
 
-def remap(contents: Contents, remaps: Mapping[str, str]) -> None:
+def remap(path: Path, contents: Contents, remaps: Mapping[str, str]) -> None:
     """Rename topics in ``contents``, in place, from their recorded names to the bench's names.
+
+    ``path`` is that of the recording, for errors.
 
     The names come from the recorder's notes in the file and from ``remaps``, which maps the bench's
     names to the recorded names.  RecordingError if a topic of ``remaps`` is in the file under
@@ -118,9 +117,12 @@ def remap(contents: Contents, remaps: Mapping[str, str]) -> None:
     """
     noted = contents.metadata.get(RUN_METADATA, {}).get(REMAPS, "").splitlines()
     pairs = [line.partition(":=")[::2] for line in noted]
-    rename_topics(contents, {name: topic for name, topic in pairs if topic in contents.types})
     names = {f"/{n.lstrip('/')}": f"/{topic.lstrip('/')}" for n, topic in remaps.items()}
-    rename_topics(contents, names)
+    try:
+        rename_topics(contents, {name: topic for name, topic in pairs if topic in contents.types})
+        rename_topics(contents, names)
+    except RecordingError as error:
+        raise RecordingError(f"{path}: {error}") from None
 
 
 def remap_of(text: str) -> tuple[str, str]:

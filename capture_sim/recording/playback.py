@@ -32,7 +32,7 @@ class Playback:
     def __init__(self, path: Path | str, remaps: Mapping[str, str] | None = None) -> None:
         self.path = Path(path)
         self._contents = contents = read_contents(self.path)
-        remap(contents, remaps or {})
+        remap(self.path, contents, remaps or {})
         #: Message types by topic, ``package/msg/Name``.
         self.types = contents.types
         #: A line for every file that was not read to its end.

@@ -88,8 +88,9 @@ def trace_in(topics: RecordedTopics, t_release: float) -> np.ndarray:
     """Return the state of the contact at the integrator's steps, (n,) of dtype TRACE, read-only.
 
     (0,) if no trace is recorded: the scene of the run must request it (``run.trace``).
+    RecordingError if the recorded type lacks a field.
     """
-    recorded = topics.columns(CONTACT_TRACE.name)
+    recorded = topics.columns(CONTACT_TRACE)
     counts = [len(t) for t in recorded.get("t", ())]
     trace = np.zeros(sum(counts), dtype=TRACE)
     for name in (TRACE.names or ()) if counts else ():

@@ -132,8 +132,8 @@ class RecordedTopics:
     def store_of_topic(self, topic: Topic) -> Typestore:
         """Return the types of the file, with which a topic's messages are decoded.
 
-        RecordingError if the topic's type lacks a field there that has no default.  Whatever reads
-        fields of a Topic calls this method, so the check is made once for all.
+        RecordingError if the topic's type lacks a field there that has no default.  :meth:`columns`
+        of a Topic and :meth:`measured` make this check.
         """
         store = self.store_for(topic.type_name)
         try:
@@ -204,20 +204,18 @@ class RecordedTopics:
     def unused(self, topic: Topic) -> str:
         """Return how many messages of a topic that measures give no measurement, and why.
 
-        The text names the three most frequent reasons.  It is empty if all messages give one, and
-        if the topic has no messages or another type.
+        The text names at most three reasons, the most frequent ones; one is that a measurement is
+        not finite.  It is empty if the topic has no messages or another type.
         """
         if not self.holds(topic):
             return ""
-        with suppress(MessageError):
-            values = self.measured(topic)[1]
-            counts = self._unused[topic.name].copy()
-            size = OF_A_BENCH[topic].size
-            if n := int(np.count_nonzero(~np.isfinite(values[:, :size]).all(axis=1))):
-                counts["not finite"] += n
-            total = self.topics[self._resolved(topic)]
-            return "; ".join(f"{n} of {total} messages: {why}" for why, n in counts.most_common(3))
-        return "no message can be decoded"
+        n_infinite = 0
+        with suppress(MessageError):  # no message gives a measurement, for reasons that are counted
+            values = self.measured(topic)[1][:, : OF_A_BENCH[topic].size]
+            n_infinite = int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
+        counts = self._unused[topic.name] + Counter({"not finite": n_infinite})
+        total = self.topics[self._resolved(topic)]
+        return "; ".join(f"{n} of {total} messages: {why}" for why, n in counts.most_common(3))
 
     def _measurements(self, topic: Topic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         messages = self.raw(topic)

@@ -254,6 +254,16 @@ def test_joints_that_are_not_the_buffers_are_refused_by_name(change, why, scene,
             getattr(read_run(path, scene=scene), look)
 
 
+def test_a_damaged_message_does_not_hide_that_the_joints_are_others(tmp_path):
+    records = list(dirty.changed(dirty.clean(), dirty.JOINTS, other))
+    first = next(i for i, record in enumerate(records) if record.topic == dirty.JOINTS)
+    records[first] = records[first]._replace(data=records[first].data[:20])
+    bag = read_bag(dirty.write_mcap(tmp_path / "x.mcap", records))
+    reasons = bag.unused(JOINT_STATES).split("; ")
+    assert reasons[0] == f"621 of 622 messages: joints gripper, wrist: {NEEDED}"
+    assert reasons[1:] == ["1 of 622 messages: cannot be decoded"]
+
+
 def test_joints_that_are_no_numbers_are_counted(tmp_path):
     bag = read_bag(dirty.write(tmp_path, "joints_nan"))
     assert bag.unused(JOINT_STATES) == "622 of 622 messages: not finite"

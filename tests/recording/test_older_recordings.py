@@ -1,14 +1,17 @@
 """Recordings from before some fields were added to their messages."""
 
 import numpy as np
+import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import capture_sim
 from capture_sim.cli import main
+from capture_sim.errors import RecordingError
 from capture_sim.messages.definitions import typestore
 from capture_sim.recording.bag import read_bag
+from capture_sim.recording.export import readable
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 
@@ -29,8 +32,8 @@ def without(definition, names):
 class Older:
     """The messages of one type as they were before."""
 
-    def __init__(self, name, definition):
-        self.name, self.text = name, without(definition, [[field] for field in LATER[name]])
+    def __init__(self, name, definition, fields):
+        self.name, self.text = name, without(definition, [[field] for field in fields])
         self._store = get_typestore(Stores.EMPTY)
         self._store.register(get_types_from_msg(self.text, name))
         self._newer = typestore()
@@ -42,17 +45,17 @@ class Older:
         return bytes(self._store.serialize_cdr(kind(**values), self.name))
 
 
-def made_older(source, path):
-    """Copy a recording, without the fields of LATER."""
+def made_older(source, path, later=LATER):
+    """Copy a recording, without some fields by type."""
     older, channels = {}, {}
     with source.open("rb") as read, path.open("wb") as write:
         reader, writer = make_reader(read), Writer(write)
         writer.start()
         for schema, channel, message in reader.iter_messages():
             data, text = message.data, schema.data.decode()
-            if schema.name in LATER:
+            if schema.name in later:
                 if schema.name not in older:
-                    older[schema.name] = Older(schema.name, text)
+                    older[schema.name] = Older(schema.name, text, later[schema.name])
                 data, text = older[schema.name].rewritten(data), older[schema.name].text
             if channel.topic not in channels:
                 number = writer.register_schema(schema.name, schema.encoding, text.encode())
@@ -64,7 +67,7 @@ def made_older(source, path):
         for metadata in reader.iter_metadata():
             writer.add_metadata(metadata.name, metadata.metadata)
         writer.finish()
-    assert set(older) == set(LATER)
+    assert set(older) == set(later)
     return path
 
 
@@ -82,3 +85,16 @@ def test_a_recording_without_later_fields_is_read(tmp_path, capsys):
     assert [status.state for status in found.statuses] == [x.state for x in expected.statuses]
     for command in (["detect", str(old)], ["compare", str(old), str(path)]):
         assert main([*command]) == 0, capsys.readouterr()
+
+
+def test_a_trace_that_lacks_a_field_is_one_error_and_the_other_tables_are_read(tmp_path):
+    result = capture_sim.simulate("tilt_0", {"run.trace": True})
+    path = write_run(result, tmp_path / "new.mcap")
+    lacking = {"capture_sim/msg/ContactTrace": ("dissipated_friction",)}
+    run = read_run(made_older(path, tmp_path / "old.mcap", lacking))
+    with pytest.raises(RecordingError, match="has no field dissipated_friction"):
+        _ = run.trace
+    tables, problems = readable(run.given.tables)
+    assert "/bench/state" in tables
+    [problem] = problems
+    assert "dissipated_friction" in problem
