@@ -12,13 +12,10 @@ from capture_sim.commands.output import echo
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.detection.nearest import in_words
 from capture_sim.errors import SceneError, one_line
+from capture_sim.recording.trial_check import VERDICT_TOLERANCE
 from capture_sim.run.run import detect
 from capture_sim.run.verdict import TICK, with_criteria
 from capture_sim.scene.parts import Detector
-
-# s, accepted difference in the time of a verdict: in a recording of nodes, messages may have
-# reached the detector and the recorder in different orders
-_BENCH_TOLERANCE = 0.1
 
 DESCRIPTION = (
     "Evaluate a recorded run again, from its poses and the state of the buffer. The criteria are "
@@ -85,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
         return OK
     before = recorded.statuses[-1]
     since_before = _since(before)
-    tolerance = TICK if is_simulated else _BENCH_TOLERANCE
+    tolerance = TICK if is_simulated else VERDICT_TOLERANCE
     # the time of "undecided" is not compared: on a bench, detector and recorder begin and end at
     # different times, and the last messages of both differ if a recording was cut
     is_timed = verdict.state.is_verdict or (is_simulated and before.final)

@@ -28,6 +28,8 @@ class RunSource(StrEnum):
 #: Topic on which the launcher drives a real release, std_msgs/Bool; ``true`` means hold.  No other
 #: node publishes it.
 HOLD = "launcher/hold"
+#: Input of the launcher, std_msgs/Bool: true while the bench's emergency stop is pressed.
+EMERGENCY_STOP = "emergency_stop"
 
 
 class Rate(Enum):

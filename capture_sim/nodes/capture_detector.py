@@ -9,10 +9,10 @@ from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
-from capture_sim.detection.criteria import CaptureStatus
+from capture_sim.detection.criteria import CaptureState, CaptureStatus
 from capture_sim.detection.detector import CaptureDetector
 from capture_sim.detection.measurements import REORDER, Source, Values
-from capture_sim.errors import SceneError
+from capture_sim.errors import SceneError, one_line
 from capture_sim.messages.convert import EPOCH_NS, rejected
 from capture_sim.messages.measurements import (
     OF_A_BENCH,
@@ -21,8 +21,16 @@ from capture_sim.messages.measurements import (
     MeasurementReader,
 )
 from capture_sim.messages.telemetry import DetectorTelemetry
-from capture_sim.messages.topics import CAPTURE_DETECTOR, RunSource, Topic, topics_of
+from capture_sim.messages.topics import (
+    CAPTURE_DETECTOR,
+    HOLD,
+    LOAD_CELL,
+    RunSource,
+    Topic,
+    topics_of,
+)
 from capture_sim.nodes.base.diagnostics import DiagnosticStatus, Level
+from capture_sim.nodes.base.endpoints import ANYONE, BOOL, message_class
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.base.parameters import ParameterError, declare_scene
 from capture_sim.nodes.base.process import run
@@ -30,7 +38,9 @@ from capture_sim.nodes.base.sources import SOURCES_TIMEOUT, SourceDiagnostics
 from capture_sim.nodes.protocol.ends import RunEnd
 from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
 from capture_sim.nodes.protocol.roll import RunReport
+from capture_sim.nodes.trials.evidence import Evidence, refusing
 from capture_sim.scene.parts import Detector
+from capture_sim.trial.hold import HoldListener
 
 #: As many measurements are evaluated together at most: then other callbacks are due.
 MAX_BATCH = 200
@@ -44,6 +54,10 @@ class CaptureDetectorNode(BenchNode, RunPart):
 
     It takes part in announced runs and trials; with the parameter ``scene``, it also evaluates a
     bench where no node announces runs.  docs/detection.md explains the criteria.
+
+    The final status of a trial is the trial's verdict.  Therefore this node, which publishes it,
+    asks the rules of plausibility before: a verdict by doubtful measurements is undecided.  And it
+    evaluates nothing once the chaser is held again.
     """
 
     # of the run that is on
@@ -51,6 +65,9 @@ class CaptureDetectorNode(BenchNode, RunPart):
     _input: DetectorInput
     _telemetry: DetectorTelemetry
     _criteria_in_force: Detector
+    _hold: HoldListener
+    _evidence: Evidence | None  # of a trial that a launcher announces, else None
+    _doubts: str | None  # why the verdict of this trial is undecided; None before the verdict
 
     def __init__(self, **options: Any) -> None:
         super().__init__(CAPTURE_DETECTOR, **options)
@@ -70,6 +87,10 @@ class CaptureDetectorNode(BenchNode, RunPart):
         for topic in self._readers:
             take, watch = (partial(f, topic) for f in (self._receive_measurement, self._diagnose))
             self._follower.follow(topic, take, raw=True, watch=watch)
+        self.listen(LOAD_CELL, self._receive_force, raw=True)
+        self.create_subscription(
+            message_class(BOOL), HOLD, self.guarded(self._receive_hold), ANYONE
+        )
         self.open(topics_of(CAPTURE_DETECTOR))
         self._follower.join()
 
@@ -109,7 +130,11 @@ class CaptureDetectorNode(BenchNode, RunPart):
                 f"{n} = {v:g} {CRITERION[n].metadata['unit']}" for n, v in criteria.items()
             )
             self.get_logger().info(f"{run.name}: evaluated by {given}; else by the scene")
-        if run.info.source == RunSource.TRIAL and run.info.announcer != self._follower.roll.id:
+        is_launched = run.info.source == RunSource.TRIAL
+        is_launched = is_launched and run.info.announcer != self._follower.roll.id
+        self._hold, self._doubts = HoldListener(), None
+        self._evidence = Evidence(run.info.waived) if is_launched else None
+        if is_launched:
             self._await_sources(run.name)
 
     def _await_sources(self, name: str) -> None:
@@ -145,9 +170,16 @@ class CaptureDetectorNode(BenchNode, RunPart):
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Publish the final verdict and how many messages were sent; return what went wrong."""
         self._evaluate()
-        statuses = self._detector.finish(cut=self._follower.was_cut)
+        is_held = self._evidence is not None and self._hold.is_held_again(time.monotonic())
+        statuses = self._detector.finish(cut=self._follower.was_cut or is_held)
+        if is_held and not statuses[-1].state.is_verdict:
+            why = self._follower.failure or "the chaser was held"
+            last = statuses[-1]._replace(
+                state=CaptureState.UNDECIDED, final=True, reason=f"{why} ({statuses[-1].reason})"
+            )
+            statuses = [*statuses[:-1], last]
         self._send_all(statuses)
-        verdict = statuses[-1]
+        verdict = self._checked(statuses[-1])
         self.get_logger().info(f"{run.name}: {verdict.label}, {verdict.reason}")
         if verdict.not_used:
             self.get_logger().warning(f"{run.name}: measurements not used: {verdict.not_used}")
@@ -194,7 +226,19 @@ class CaptureDetectorNode(BenchNode, RunPart):
         text = f"{behind:.2f} s behind the newest measurement"
         return [DiagnosticStatus("evaluation", Level.OK, text, values)]
 
+    def _receive_hold(self, message: Any) -> None:
+        if self.run is not None:
+            self._hold.note(is_held=bool(message.data), now=time.monotonic())
+
+    def _receive_force(self, data: bytes) -> None:
+        if self.run is not None and self._evidence is not None:
+            self._evidence.add(LOAD_CELL, data, time.monotonic_ns())
+
     def _receive_measurement(self, topic: Topic, data: bytes) -> None:
+        if self._evidence is not None:
+            if self._hold.is_held_again(time.monotonic()):
+                return
+            self._evidence.add(topic, data, time.monotonic_ns())
         measurement = self._input.read(topic, data)
         if measurement is None:
             return
@@ -225,6 +269,8 @@ class CaptureDetectorNode(BenchNode, RunPart):
                 self.get_logger().warning("; ".join(warnings), throttle_duration_sec=5.0)
 
     def _send_all(self, statuses: Sequence[CaptureStatus]) -> None:
+        """Publish statuses, a verdict only if no rule of plausibility refuses it."""
+        statuses = list(map(self._checked, statuses))
         self._telemetry.zero_ns = self._detector.zero
         if statuses:
             counts = self._detector.counts
@@ -234,6 +280,20 @@ class CaptureDetectorNode(BenchNode, RunPart):
             further = {name: [row] * len(known) for name, row in self._rejected.items()}
             for messages in self._telemetry.statuses(known, further):
                 self.publish(*messages)
+
+    def _checked(self, status: CaptureStatus) -> CaptureStatus:
+        """Return a status as it may be published: undecided instead of a doubtful verdict.
+
+        The rules are asked once, when there is a verdict.
+        """
+        if self._evidence is None or not status.state.is_verdict:
+            return status
+        if self._doubts is None:
+            doubts = refusing(self._evidence.of_trial(self.run.scene))
+            self._doubts = one_line("; ".join(doubt.line for doubt in doubts))
+        if not self._doubts:
+            return status
+        return status._replace(state=CaptureState.UNDECIDED, final=True, reason=self._doubts)
 
 
 def _check_criterion(name: str, value: float) -> None:

@@ -40,6 +40,7 @@ from capture_sim.nodes.protocol.ends import EndKind, RunEnd
 from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
 from capture_sim.nodes.protocol.roll import RunReport
 from capture_sim.recording.live import LiveRecorder, RecordingReport
+from capture_sim.recording.trial_check import trial_problems
 
 #: What is recorded later too: the last messages of the participants.
 AFTER_END = {STREAM_COUNTS, *topics_of(LAUNCHER), *topics_of(CAPTURE_DETECTOR)}
@@ -163,6 +164,10 @@ class RecorderNode(BenchNode, RunPart):
             if end.kind is EndKind.ABANDONED:
                 problems.append(end.reason)
             problems += report.problems
+            if run.info.source == RunSource.TRIAL and report.path.exists():
+                problems += trial_problems(report.path)
+            elif not report.path.exists():
+                problems.append(f"{report.path}: is gone: it was removed while it was written")
             for problem in problems[:1]:
                 if problem.endswith("no message"):  # first of all: a sensor is missing
                     self._follower.fail(problem)

@@ -10,7 +10,7 @@ from capture_sim.plausibility.axes import FORCE_FRAMES, frame_of
 from capture_sim.plausibility.momentum import force_ratio
 from capture_sim.plausibility.motion import MIN_MESSAGES, N_SMOOTH, MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
-from capture_sim.plausibility.signals import baseline, noise, smooth
+from capture_sim.plausibility.signals import noise, smooth
 
 #: A drift of the sensor's zero is reported above these, N and N/s.
 _DRIFT, _DRIFT_RATE = 1.0, 0.1
@@ -101,7 +101,8 @@ def _rows(is_so: np.ndarray) -> np.ndarray:
 @rule(
     "force_drifts",
     Grade.NOTED,
-    compares="zero of the load cell at the begin and before the first contact",
+    compares="zero of the load cell at the begin and before the first contact, by the medians of "
+    "the first and the last third of that time",
     threshold="differ by > 1 N, > 0.1 N/s and > 2 standard deviations",
     reason="0.05 N/s is a hard case of a warm-up, and is removed; 1 N is a tenth of a contact's "
     "mean force",
@@ -117,8 +118,12 @@ def force_drifts(motion: MeasuredMotion) -> Iterator[Said]:
     quiet = t < limit - 0.05
     if quiet.sum() < 100:
         return
-    level = baseline(t[quiet], values[quiet])
-    moved = level[-1] - level[0]
+    # medians of a third each: the first samples of a contact, which poses may show late, are few
+    third = int(quiet.sum()) // 3
+    begin, end = (
+        np.median(values[quiet][part], axis=0) for part in (slice(third), slice(-third, None))
+    )
+    moved = 1.5 * (end - begin)
     scatter = max(noise(column) for column in values[quiet].T)
     duration = float(t[quiet][-1] - t[quiet][0])
     if float(np.hypot(*moved)) > max(_DRIFT, _DRIFT_RATE * duration, 2.0 * scatter):

@@ -61,6 +61,7 @@ from capture_sim.run.loads import extremes_from_text, with_forces_of_touches
 from capture_sim.run.series import Series, in_order
 from capture_sim.scene.loading import load_scene_text
 from capture_sim.scene.parts import Detector, Scene
+from capture_sim.trial.hold import HOLD_TIMEOUT
 
 _T = TypeVar("_T")
 
@@ -229,9 +230,33 @@ class Bag(RecordedTopics):
     @property
     def _is_held(self) -> bool:
         """True if the last message on ``launcher/hold`` commands the release device to hold."""
-        if not self.has(HOLD) or self.types.get(f"/{HOLD}") != "std_msgs/msg/Bool":
-            return False
-        return bool(self.columns(HOLD)["data"][-1])
+        return self._has_hold and bool(self.columns(HOLD)["data"][-1])
+
+    @property
+    def _has_hold(self) -> bool:
+        return self.has(HOLD) and self.types.get(f"/{HOLD}") == "std_msgs/msg/Bool"
+
+    @cached_property
+    def held_again(self) -> int | None:
+        """Log time, ns, from which on a real chaser was held again after its release; None if not.
+
+        It is held by the launcher's abort, by ``launcher/hold``, or :data:`HOLD_TIMEOUT` after the
+        last message there.
+        """
+        if self.is_simulated:
+            return None
+        times: list[int] = []
+        commands = self.columns_if_typed(LAUNCH_COMMAND).get("action", np.zeros(0))
+        aborts = np.flatnonzero(commands == LaunchAction.ABORT)
+        times += self.log_times(LAUNCH_COMMAND)[aborts].tolist() if aborts.size else []
+        if self._has_hold:
+            log_times, is_held = self.log_times(HOLD), self.columns(HOLD)["data"].astype(bool)
+            let_go = np.flatnonzero(~is_held)
+            if let_go.size:
+                later = log_times[np.flatnonzero(is_held[let_go[0] :]) + let_go[0]]
+                silent = int(log_times[let_go[-1]]) + round(HOLD_TIMEOUT * 1e9)
+                times += [*later[:1].tolist(), *([] if later.size else [silent])]
+        return min(times, default=None)
 
     # how it was made
 

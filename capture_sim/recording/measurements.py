@@ -119,20 +119,23 @@ def live_conditions(bag: Bag) -> LiveConditions:
     """Return the conditions under which the live detector evaluated the recorded run.
 
     Of a real bench with a final status, the last instant to evaluate is the time of that status.
+    The run counts as ended early where the chaser was held again: a verdict must have come before.
     """
     last = math.inf
     if not bag.is_simulated and bag.holds(topics.CAPTURE_STATUS) and bag.statuses[-1].final:
         last = bag.statuses[-1].t + TICK
-    return LiveConditions(bag.is_simulated, last, is_cut=bag.cut, has_end=bag.has_end)
+    is_cut = bag.cut or bag.held_again is not None
+    return LiveConditions(bag.is_simulated, last, is_cut=is_cut, has_end=bag.has_end)
 
 
 def received_in(bag: Bag, scene: Scene | None) -> list[Received]:
     """Return the measurements that the live detector has received, in the order of log times.
 
     The scene decides which topics of a simulated run the detector reads.  Of a real bench, messages
-    logged before the announcement of the trial (RunInfo) or after the detector's final status are
-    left out, because the live detector ignores them; as each node receives these messages at a
-    slightly different time, the selection may differ from the detector's by a few messages.
+    logged before the announcement of the trial (RunInfo), after the detector's final status or
+    after the chaser was held again are left out, because the live detector ignores them; as each
+    node receives these messages at a slightly different time, the selection may differ from the
+    detector's by a few messages.
     Messages that cannot be decoded or have the stamp 0 are left out.
 
     RecordingError if one of the sources (chaser, target, buffer) has no message, or none that
@@ -144,6 +147,7 @@ def received_in(bag: Bag, scene: Scene | None) -> list[Received]:
         begin = int(announced[0]) if announced.size else begin
         if bag.holds(topics.CAPTURE_STATUS) and bag.statuses[-1].final:
             end = int(bag.log_times(topics.CAPTURE_STATUS)[-1])
+        end = min(end, bag.held_again or end)
     reader = DetectorInput(scene, is_simulated=bag.is_simulated, store_of=bag.store_for)
     messages: list[tuple[int, Topic, bytes]] = []
     for topic in reader.topics:

@@ -29,7 +29,7 @@ from capture_sim.run.touches import unseen_impact
 from capture_sim.scene.geometry import nearest_on_wall, tip_motion
 from capture_sim.scene.launch_plan import expected_time, tip_at_release, travel_to_touch
 from capture_sim.scene.parts import PlanarState, Scene
-from capture_sim.trial.standstill import WINDOW, Pose, median_pose
+from capture_sim.trial.rest import WINDOW, Pose, Rest, median_of
 
 #: Duration of a fit, s, and the minimum number of its poses.
 FIT_WINDOW, MIN_FIT_POSES = 0.3, 12
@@ -53,6 +53,8 @@ MIN_MOTION = 0.01
 #: contact, m, because poses of a bench are no more accurate.  A fit that includes the contact gives
 #: a speed that is too low.
 N_LATEST, CONTACT_DISTANCE = 5, 0.005
+#: Motion of the target before the contact that noise of its poses does not explain, m and rad.
+MAX_TARGET_MOTION, MAX_TARGET_TURN = 0.005, 0.03
 #: The travel to the cone is predicted until the tip is this close to the cone, m.
 MIN_PREDICTION_DISTANCE = 0.02
 
@@ -109,6 +111,10 @@ class BenchWatch:
         self._start: Pose | None = None
         self._late_by = 0.0  # s, from the release to the first pose; 0 if poses arrived before
         self._target: Pose | None = None
+        self._target_rest = Rest()
+        self._target_start: tuple[float, ...] | None = None  # pose at the release
+        #: How the target has moved between the release and the contact; empty if it has not.
+        self.target_motion = ""
         self._deflection = (0.0, 0.0)  # of the buffer, m and rad
         self._zero = math.nan  # s, stamp of the release
         self._released = math.inf  # s, release by the clock of the arrivals
@@ -133,11 +139,37 @@ class BenchWatch:
     def release(self, arrival: float) -> None:
         """Note the release of the chaser; ``arrival``: s by the clock of :meth:`add_chaser`."""
         self._released = arrival
+        self._target_start = self._target_rest.median(arrival)
 
-    def add_target(self, pose: Pose) -> None:
-        """Note the target's latest pose; a pose that is not finite is ignored."""
-        if all(map(math.isfinite, pose)):
-            self._target = pose
+    def add_target(self, pose: Pose, arrival: float) -> None:
+        """Note the target's latest pose; a pose that is not finite is ignored.
+
+        ``arrival`` as of :meth:`add_chaser`.
+        """
+        if not all(map(math.isfinite, pose)):
+            return
+        self._target = pose
+        if self._has_touched:
+            return
+        self._target_rest.add(pose, arrival)
+        if self._target_start is not None and not self.target_motion:
+            self.target_motion = self._motion_of_target(arrival)
+
+    def _motion_of_target(self, now: float) -> str:
+        """Return how the target has moved since the release; empty if it is where it was."""
+        newest = self._target_rest.newest()
+        is_near = not self._gaps or min(self._gaps) < MIN_PREDICTION_DISTANCE
+        if newest is None or self._target_start is None or is_near:  # near: the chaser may push it
+            return ""
+        moved = math.dist(newest[:2], self._target_start[:2])
+        turned = abs(math.remainder(newest[2] - self._target_start[2], math.tau))
+        if moved <= MAX_TARGET_MOTION and turned <= MAX_TARGET_TURN:
+            return ""
+        return (
+            f"target: moved by {1e3 * moved:.3g} mm and {math.degrees(turned):.2g} degrees before "
+            f"the contact, {now - self._released:.2f} s after the release: the speed of impact is "
+            "not that of the chaser"
+        )
 
     def add_buffer(self, stroke: float, torsion: float) -> None:
         """Note the buffer's latest stroke (m) and torsion (rad), if they are finite."""
@@ -191,7 +223,8 @@ class BenchWatch:
     def _find_start(self, stamp: float, pose: Pose, arrival: float) -> None:
         """Collect poses at rest; set the start at the first pose after the release has settled."""
         if len(self._stamps) == MIN_START_POSES and arrival > self._released + SETTLING_TIME:
-            self._start = median_pose([each for _, each in self._at_rest])
+            x, y, heading = median_of([each for _, each in self._at_rest])
+            self._start = x, y, heading
             self._zero = median(self._stamps) - self._late_by
             return
         at_rest = self._at_rest

@@ -91,6 +91,30 @@ class HoldReaders:
         return not name.startswith(ONLOOKERS)
 
 
+class HoldListener:
+    """launcher/hold as another node receives it: is the chaser held again after a release?
+
+    What a held chaser does decides nothing: the detector evaluates no measurement from then on.
+    A driver holds its chaser too when the messages stop, see :data:`HOLD_TIMEOUT`.
+    """
+
+    def __init__(self) -> None:
+        self._let_go = math.nan  # s, latest message that lets go
+        self._is_held = False
+
+    def note(self, *, is_held: bool, now: float) -> None:
+        """Note a message at ``now``, s."""
+        if not is_held:
+            self._let_go = now
+        elif not math.isnan(self._let_go):
+            self._is_held = True
+
+    def is_held_again(self, now: float) -> bool:
+        """Return True if the chaser was let go, and is held at ``now``, s, or was before."""
+        self._is_held = self._is_held or now > self._let_go + HOLD_TIMEOUT
+        return self._is_held
+
+
 class HoldPublishers:
     """Monitors the nodes that publish launcher/hold: there must be only one publisher.
 

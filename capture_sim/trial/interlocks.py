@@ -14,14 +14,17 @@ from statistics import median
 from capture_sim.detection.measurements import Source
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range, quantity
+from capture_sim.trial.emergency_stop import EmergencyStop
 from capture_sim.trial.hold import HoldPublishers, HoldReaders
-from capture_sim.trial.standstill import (
-    MAX_START_ERROR,
-    MIN_POSES,
-    WINDOW,
-    HeldWatch,
-    Pose,
-    Standstill,
+from capture_sim.trial.jumps import JumpWatch
+from capture_sim.trial.rest import BUFFER_LIMITS, POSE_LIMITS, HeldWatch, Pose, Rest
+from capture_sim.trial.starts import (
+    differences,
+    nearest_other,
+    relative,
+    shown,
+    start_of,
+    tolerances,
 )
 
 #: If a stamp is older than the previous stamp by more than this, the clock was set back, s.
@@ -35,18 +38,22 @@ N_STEPPED = 5
 #: A source that is silent for longer between release and verdict is a problem of the trial, s.
 MAX_SILENCE = 1.0
 
-#: Maximum rotation of a body from its start in the scene, rad.
-MAX_START_TURN = math.radians(10.0)
+#: Sources of poses.
+VEHICLES = (Source.CHASER, Source.TARGET)
+#: A check of plausibility must not be older before a release, s, and what it means if it is.
+MAX_CHECK_AGE = 3.0
+OVERLOAD = "this machine is overloaded: end other programs"
 #: Maximum stroke, m, and torsion, rad, of a buffer at rest.
 MAX_REST_STROKE, MAX_REST_TORSION = 0.003, 0.05
 
 #: Release rules that a laboratory may waive by name, and the condition of each.
 RULES = {
     "machine_clock": "the sources' clocks agree with this machine's",
-    "start": "both bodies are where the scene starts",
-    "buffer_rest": "the buffer is near rest",
+    "start": "both bodies are where the scene starts, and nearer to it than to any other scene",
+    "buffer_rest": "the buffer is at rest, near its rest length",
     "rates": "each source sends often enough",
-    "standstill": "the chaser stands",
+    "standstill": "the chaser is at rest",
+    "target_standstill": "the target is at rest",
 }
 
 
@@ -58,7 +65,8 @@ class TrialLimits:
         "s",
         Range(0.02, 10.0),
         default=0.3,
-        doc="time without a new pose of a vehicle: nothing is released, an approach is aborted",
+        doc="time without a new pose of a vehicle: an approach is aborted; before a release, "
+        "rest is checked, which permits 0.1 s",
     )
     max_buffer_age: float = quantity(
         "s",
@@ -115,6 +123,18 @@ class TrialLimits:
         doc="new measurements of each source: nothing is released below it",
     )
 
+    require_emergency_stop: bool = quantity(
+        "",
+        default=False,
+        doc="let a chaser go only while emergency_stop reports that it is not pressed",
+    )
+    max_emergency_stop_silence: float = quantity(
+        "s",
+        Range(0.05, 60.0),
+        default=1.0,
+        doc="time without emergency_stop, if it is required: nothing is released, a trial aborted",
+    )
+
 
 class SourceMonitor:
     """Monitors the messages of one topic.
@@ -125,6 +145,7 @@ class SourceMonitor:
 
     def __init__(self) -> None:
         self.n_messages = 0
+        self._empty, self._emptied = "", -math.inf  # why the last one had no measurement; s
         self._stamp: int | None = None  # ns
         self._values: tuple[float, ...] = ()
         self._last_new = -math.inf  # s, arrival of the last new measurement
@@ -142,10 +163,14 @@ class SourceMonitor:
 
         Return True if the message contains a new measurement.
         """
-        self.n_messages += 1
         advance = math.inf if self._stamp is None else (stamp - self._stamp) * 1e-9
-        if not all(map(math.isfinite, values)) or -MAX_STEP_BACK <= advance <= 0.0:
-            return False
+        if stamp == 0:
+            return self.add_empty("their stamp is 0, i.e. not set", arrival)
+        if not all(map(math.isfinite, values)):
+            return self.add_empty("their values are not finite, or their quaternion is 0", arrival)
+        if -MAX_STEP_BACK <= advance <= 0.0:
+            return self.add_empty("their stamp does not advance", arrival)
+        self.n_messages += 1
         if advance < 0.0:
             self._steps_back.append(arrival)
             self._stepped_back = True
@@ -162,6 +187,20 @@ class SourceMonitor:
         if values != self._values:
             self._values, self._last_change = values, arrival
         return True
+
+    def add_empty(self, reason: str, arrival: float) -> bool:
+        """Note a message without a measurement; return False.  ``reason``: what such messages have.
+
+        A message at the time of a stamp that has been measured already, e.g. each pose twice, is no
+        news as long as others bring new ones.
+        """
+        self.n_messages += 1
+        self._empty, self._emptied = reason, arrival
+        return False
+
+    def emptiness(self, now: float) -> str:
+        """Return why the messages that arrive give no measurement; empty if none arrive."""
+        return self._empty if self._emptied > max(self._last_new, now - STEP_WINDOW) else ""
 
     def age(self, now: float) -> float:
         """Return the time since the last new measurement, s; ``inf`` before the first."""
@@ -238,11 +277,29 @@ class Interlocks:
         self.waived = frozenset(waived)
         #: A line for each broken plausibility rule that refuses a release.
         self.implausible: tuple[str, ...] = ()
-        #: Function that updates :attr:`implausible` just before a release.
-        self.look_for_implausible: Callable[[], None] = lambda: None
+        #: Time of the latest measurements in the last check of plausibility, s; ``inf`` if there
+        #: is no such check.
+        self.checked = math.inf
+        #: Function that requests a check, whose result goes to :meth:`note_check`.
+        self.request_check: Callable[[], None] = lambda: None
+        #: Relative poses at the start of other scenes, by name; see :mod:`.starts`.
+        self.starts: Mapping[str, Pose] = {}
+        self.emergency_stop = EmergencyStop(
+            is_required=limits.require_emergency_stop,
+            max_silence=limits.max_emergency_stop_silence,
+        )
+        self.jumps = {
+            name: JumpWatch()
+            for source in (Source.CHASER, Source.TARGET)
+            for name in topics.get(source, ())
+        }
         self._scene: Scene | None = None  # of the trial
         self._last: dict[str, tuple[float, ...]] = {}  # the latest measurement, by topic
-        self._standstills = {name: Standstill() for name in topics.get(Source.CHASER, ())}
+        self._rests = {
+            name: Rest(BUFFER_LIMITS if source is Source.BUFFER else POSE_LIMITS)
+            for source, names in topics.items()
+            for name in names
+        }
         self._topics = {source: tuple(names) for source, names in topics.items()}
         self._chosen: dict[Source, str] = {}
         self._publishers: dict[str, tuple[str, ...]] | None = None  # names of nodes, by topic
@@ -250,11 +307,11 @@ class Interlocks:
 
     def add(self, topic: str, stamp: int, values: tuple[float, ...], arrival: float) -> None:
         """Note a measurement, see :meth:`SourceMonitor.add`."""
-        is_new = self.monitors[topic].add(stamp, values, arrival)
-        if is_new:
+        if self.monitors[topic].add(stamp, values, arrival):
             self._last[topic] = values
-        if is_new and topic in self._standstills:
-            self._standstills[topic].add((values[0], values[1], values[2]), arrival)
+            self._rests[topic].add(values, arrival)
+            if topic in self.jumps:
+                self.jumps[topic].add((values[0], values[1], values[2]), arrival)
 
     def note_publishers(
         self, nodes: Mapping[str, Sequence[str]], mismatches: Mapping[str, str]
@@ -285,24 +342,39 @@ class Interlocks:
         conflicts = [text for source, _ in self._limited() if (text := self._conflict(source))]
         hold = [self.publishers.refusal(now), self.readers.refusal(now), self.held.alarm]
         rules = [] if stale else self._broken_rules(now)
-        return "; ".join(filter(None, [*stale, *conflicts, *hold, *rules]))
+        late = now > self.checked + MAX_CHECK_AGE
+        overload = f"rules of plausibility: last checked {now - self.checked:.2g} s ago: {OVERLOAD}"
+        # what to look at first stands first; an age is only the consequence of a cause
+        first = [self.emergency_stop.problem(now), *self.implausible, *rules, *conflicts]
+        return "; ".join(filter(None, [*first, *stale, *hold, overload if late else ""]))
 
     def note_hold(self, is_held: bool, now: float) -> None:
         """Note at ``now``, s, that the chaser is held, or that it is let go."""
         if is_held:
             self.held.hold(now)
             return
-        self.held.let_go(self._standstill().pose(now))
+        self.held.let_go(self._rest(Source.CHASER).median(now))
+
+    def note_check(self, implausible: Collection[str], at: float) -> None:
+        """Note the lines of a check of plausibility whose latest measurements arrived at ``at``."""
+        self.implausible, self.checked = tuple(implausible), at
 
     def mark(self) -> None:
         """Note the sources' clocks and the publishers of launcher/hold at a release."""
         self.publishers.begin()
         for source in self._needed():
             self.monitors[self._best(source)].mark()
+        for watch in self.jumps.values():
+            watch.begin()
+
+    def jump(self) -> str:
+        """Return which body has moved since the release as no body can; empty if none has."""
+        found = ((name, self.jumps[name].text) for name in map(self._best, VEHICLES))
+        return "; ".join(f"{name}: {text}" for name, text in found if text)
 
     def watch_held(self, now: float) -> None:
         """Check whether a chaser that was held again has stopped, see :attr:`HeldWatch.alarm`."""
-        self.held.update(self._standstill(), now)
+        self.held.update(self._rest(Source.CHASER), now)
 
     def clock_steps(self) -> list[str]:
         """Return a line for each source whose clock was set since the release."""
@@ -321,8 +393,8 @@ class Interlocks:
     def _needed(self) -> list[Source]:
         return [source for source, _ in self._limited()]
 
-    def _standstill(self) -> Standstill:
-        return self._standstills.get(self._best(Source.CHASER)) or Standstill()
+    def _rest(self, source: Source) -> Rest:
+        return self._rests[self._best(source)]
 
     def _broken_rules(self, now: float) -> list[str]:
         """Return a line for each of :data:`RULES` that is broken and not waived."""
@@ -341,50 +413,51 @@ class Interlocks:
                 text = f"{name}: {rate:.3g} Hz: must be at least {limits.min_rate:g} (min_rate)"
                 broken.append(("rates", text))
         if self._scene is not None:
-            broken += self._rest_rules(self._scene, now)
-        standstill = self._standstill()
-        if not standstill.stands(now):
-            motion = standstill.motion(now) or (
-                "has sent too few poses to tell whether it stands: "
-                f"must be {MIN_POSES} in {WINDOW} s"
-            )
-            broken.append(("standstill", f"the chaser {motion}: it must stand before a release"))
-        lines = [f"{text} [rule {rule}]" for rule, text in broken if rule not in self.waived]
-        return [*lines, *self.implausible]
+            broken += self._start_rule(self._scene, now)
+        for source, name in zip(VEHICLES, ("standstill", "target_standstill"), strict=True):
+            if problem := self._rest(source).problem(now):
+                text = f"the {source.value} {problem}: it must be at rest before a release"
+                broken.append((name, text))
+        if Source.BUFFER in self._needed():
+            broken += self._buffer_rule(now)
+        return [f"{text} [rule {rule}]" for rule, text in broken if rule not in self.waived]
 
-    def _rest_rules(self, scene: Scene, now: float) -> list[tuple[str, str]]:
-        """Compare the relative pose of the bodies with the scene's start, and the buffer with rest.
+    def _start_rule(self, scene: Scene, now: float) -> list[tuple[str, str]]:
+        """Compare the relative pose of the bodies with the scene's start; name and text if off."""
+        chaser, target = (self._rest(source).median(now) for source in VEHICLES)
+        if chaser is None or target is None:
+            return []
+        start, found = start_of(scene), relative(chaser, target)
+        distance, turn = tolerances(start, self.starts)
+        off, turned = differences(found, start)
+        other = nearest_other(start, self.starts, found)
+        if off <= distance and turned <= turn and not other:
+            return []
+        text = (
+            f"{self._best(Source.CHASER)}: target {shown(found)}; in the scene {shown(start)}: "
+            f"must be within {distance:.3g} m and {math.degrees(turn):.3g} deg: "
+        )
+        text += (
+            f"this is nearer to the start of {other}: name the scene that is set up"
+            if other
+            else "put the chaser at its start, check units and base frames"
+        )
+        return [("start", text)]
 
-        Return a name and a text for each broken rule.
-        """
-        broken = []
-        chaser, target = self._standstill().pose(now), self._last.get(self._best(Source.TARGET))
-        if chaser is not None and target is not None:
-            initial = scene.initial
-            c, t = initial.chaser, initial.target
-            wanted = _relative((c.x, c.y, c.theta), (t.x, t.y, t.theta))
-            found = _relative(chaser, (target[0], target[1], target[2]))
-            off = math.dist(wanted[:2], found[:2])
-            turn = abs(math.remainder(found[2] - wanted[2], 2.0 * math.pi))
-            if off > MAX_START_ERROR or turn > MAX_START_TURN:
-                text = (
-                    f"{self._best(Source.CHASER)}: target {_shown(found)}; in the scene "
-                    f"{_shown(wanted)}: must be within {MAX_START_ERROR:g} m and "
-                    f"{math.degrees(MAX_START_TURN):.0f} deg: put the chaser at its start, check "
-                    "units and base frames"
-                )
-                broken.append(("start", text))
-        buffer = self._best(Source.BUFFER)
-        if Source.BUFFER in self._needed() and (deflection := self._last.get(buffer)) is not None:
-            stroke, torsion = deflection[:2]
-            if abs(stroke) > MAX_REST_STROKE or abs(torsion) > MAX_REST_TORSION:
-                text = (
-                    f"{buffer}: stroke {stroke:.4g} m, torsion {torsion:.3g} rad: must be within "
-                    f"{MAX_REST_STROKE:g} m and {MAX_REST_TORSION:g} rad before a release: check "
-                    "zero and unit of the encoders"
-                )
-                broken.append(("buffer_rest", text))
-        return broken
+    def _buffer_rule(self, now: float) -> list[tuple[str, str]]:
+        """Return name and text if the buffer is not at rest near its rest length, else nothing."""
+        topic, rest = self._best(Source.BUFFER), self._rest(Source.BUFFER)
+        if problem := rest.problem(now):
+            return [("buffer_rest", f"{topic}: the buffer {problem}: it must be at rest")]
+        stroke, torsion = rest.median(now) or (math.nan, math.nan)
+        if abs(stroke) <= MAX_REST_STROKE and abs(torsion) <= MAX_REST_TORSION:
+            return []
+        text = (
+            f"{topic}: stroke {stroke:.4g} m, torsion {torsion:.3g} rad: must be within "
+            f"{MAX_REST_STROKE:g} m and {MAX_REST_TORSION:g} rad before a release: check zero and "
+            "unit of the encoders"
+        )
+        return [("buffer_rest", text)]
 
     def blindness(self, now: float, *, has_moved: bool) -> tuple[str, float]:
         """Return why the approach must end, and for how long the chaser was not seen, s.
@@ -441,36 +514,24 @@ class Interlocks:
         )
 
     def _stale_text(self, source: Source, now: float, limit: float) -> str:
-        """Return a text with the topic, the age of its last measurement and publisher problems."""
+        """Return why a source has no recent measurement: what its messages have, or their age."""
         topics = self._topics[source]
         best = self._best(source)
         age = self.monitors[best].age(now)
         if math.isfinite(age):
             topics = (best,)
             text = f"{best}: last measurement {age:.3g} s old: must be at most {limit:g}"
-        elif heard := [name for name in topics if self.monitors[name].n_messages]:
-            topics = tuple(heard)
-            text = f"{' and '.join(topics)}: no finite measurement"
+        elif heard := tuple(name for name in topics if self.monitors[name].n_messages):
+            topics = heard
+            text = f"{' and '.join(topics)}: no measurement"
         else:
             text = f"{' or '.join(topics)}: no measurement"
+        if empty := "; ".join(filter(None, (self.monitors[t].emptiness(now) for t in topics))):
+            text = f"{' and '.join(topics)}: messages without a measurement: {empty} ({text})"
         if self._publishers is not None and not any(self._publishers.get(t) for t in topics):
             text += ", no publisher"
         mismatches = [f"{t}: {self._mismatches[t]}" for t in topics if t in self._mismatches]
         return f"{text} ({'; '.join(mismatches)})" if mismatches else text
-
-
-def _relative(chaser: Pose, target: Pose) -> Pose:
-    """Return the target's pose in the chaser's frame."""
-    x, y, s, c = target[0] - chaser[0], target[1] - chaser[1], *_sine_cosine(chaser[2])
-    return c * x + s * y, c * y - s * x, math.remainder(target[2] - chaser[2], 2.0 * math.pi)
-
-
-def _shown(pose: Pose) -> str:
-    return f"{pose[0]:.3f} m ahead, {pose[1]:.3f} m left, turned {math.degrees(pose[2]):.1f} deg"
-
-
-def _sine_cosine(angle: float) -> tuple[float, float]:
-    return math.sin(angle), math.cos(angle)
 
 
 def _lead(lead: float) -> str:

@@ -22,7 +22,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.trial.bench_watch import BenchWatch
 from capture_sim.trial.hold import HOLD_TIMEOUT
 from capture_sim.trial.interlocks import Interlocks
-from capture_sim.trial.standstill import Pose
+from capture_sim.trial.rest import Pose
 
 #: Verdicts that a goal may expect, as the detector names them.
 VERDICTS = ("captured", "rebound", "missed", "stuck", "undecided")
@@ -32,6 +32,8 @@ MAX_NAME, MAX_NOTE = 200, 2000
 _CONTACT = "contact"
 #: Maximum difference of a detector status's stamp from the stamps of the poses, s.
 MAX_STAMP_ERROR = 1.0
+#: Time within which a hold reaches the detector, s.
+MAX_TRANSIT = 0.1
 #: Failure reason of a trial that the client has cancelled.
 CANCELLED = "cancelled"
 
@@ -151,10 +153,11 @@ class Trial:
         self._absent = ""  # required nodes that do not take part
         self._lost: Mapping[str, str] = {}  # required nodes that have left: a line for each role
         self._is_final = False
+        self._held_stamp = math.inf  # s, of the latest pose when the trial failed
         self._cancelled = ""
         self._silences: dict[str, tuple[float, float]] = {}  # by topic: start and end, s
-        #: A line for each broken plausibility rule that makes the verdict undecided.
-        self.doubts: tuple[str, ...] = ()
+        self._permitted = math.inf  # s, time since when nothing has stood against a release
+        self._jump = ""  # of a body's poses, after the contact
         self._steps: list[str] = []  # a line for each clock that was set since the release
         self._stamps = (math.inf, -math.inf)  # s, smallest and largest stamp of chaser poses
         self._statuses: list[tuple[int, LauncherStatus]] = []
@@ -187,33 +190,30 @@ class Trial:
         if not self.is_released:
             return "", self.failure
         found = "; ".join(self.sensor_problems)
-        if self.doubts and not self.failure and self.verdict in VERDICTS:
-            return "undecided", "; ".join([*self.doubts, *self.sensor_problems])
+        is_decided = self._is_final and self.verdict in VERDICTS
+        if self.failure and not is_decided:  # what a chaser does that is held decides nothing
+            return "undecided", self.failure
         if self.verdict in VERDICTS:
             reason = self.verdict_reason
             if self.verdict == "undecided" and found:
                 reason = f"{found} ({reason})"
             return self.verdict, self.failure or reason
-        limit = self._limits.time_limit
-        reason = found or f"no verdict {limit:g} s after the release"
-        return "undecided", self.failure or reason
+        return "undecided", found or f"no verdict {self._limits.time_limit:g} s after the release"
 
     @property
     def impact_speed(self) -> float:
-        """Speed of the chaser at the first contact, m/s; NaN if not measured."""
+        """Speed of the chaser at the first contact, m/s; NaN if not measured.
+
+        It is the speed of the impact only if the target has not moved before.
+        """
         status = self.launcher.status
-        is_delivered = status.state is LauncherPhase.DELIVERED
-        return status.measured_speed if is_delivered else math.nan
+        is_known = status.state is LauncherPhase.DELIVERED and not self._watch.target_motion
+        return status.measured_speed if is_known else math.nan
 
     @property
     def deviation(self) -> str:
         """How the launch differs from its plan; empty before the launch."""
         return self.launcher.deviation if self._is_launched else ""
-
-    @property
-    def was_aborted(self) -> bool:
-        """True if the chaser was released and then held because of a failure or a cancel."""
-        return bool(self.failure) and self.is_released
 
     def waiting_for(self, now: float) -> str:
         """Return what the phase waits for; empty if it only waits for the bench's motion."""
@@ -236,7 +236,7 @@ class Trial:
         if not self._interlocks.choose(source, topic):
             return
         if source is Source.TARGET:
-            self._watch.add_target(pose)
+            self._watch.add_target(pose, now)
             return
         seconds = stamp * 1e-9
         self._stamps = min(self._stamps[0], seconds), max(self._stamps[1], seconds)
@@ -270,9 +270,14 @@ class Trial:
 
         A state is ignored if its ``stamp`` (ns) lies outside the stamps of this trial's poses by
         more than :data:`MAX_STAMP_ERROR`: another detector or a player has sent it.  A state before
-        the release is also ignored, because it belongs to an earlier trial.
+        the release is also ignored, because it belongs to an earlier trial.  Once the trial has
+        failed, the chaser is held: only a final state counts then that was reached before, by
+        measurements up to the hold.
         """
         if not self.is_released:
+            return
+        is_late = stamp is None or stamp * 1e-9 > self._held_stamp + MAX_TRANSIT
+        if self.failure and (is_late or not is_final):
             return
         first, latest = self._stamps
         if (
@@ -365,6 +370,8 @@ class Trial:
             self._absent, self._lost = "; ".join(self._lost.values()), {}
             return [TrialStep.WITHDRAW]
         refusal = self._refusal(now)
+        if refusal:
+            self._permitted = math.inf
         if refusal or (self._is_announced and not self._are_others_ready):
             if in_phase > self._limits.start_timeout:
                 waited = f"after {self._limits.start_timeout:g} s: "
@@ -373,8 +380,9 @@ class Trial:
         if not self._is_announced:
             self._is_announced = True
             return [TrialStep.ANNOUNCE]
-        self._interlocks.look_for_implausible()  # the last check may be half a second old
-        if self._refusal(now):
+        self._permitted = min(self._permitted, now)
+        if self._interlocks.checked < self._permitted:  # what has come since is not checked yet
+            self._interlocks.request_check()
             return []
         self._enter(TrialPhase.APPROACH, now)
         self.is_released, self.released = True, now
@@ -396,8 +404,11 @@ class Trial:
 
     def _follow(self, now: float) -> list[TrialStep]:
         """Follow the chaser to the verdict; abort an approach that is unseen or not as planned."""
-        if self._has_actuator and (conflict := self._interlocks.publishers.conflict(now)):
-            return self._fail(conflict, now)
+        if self._has_actuator:
+            stop = self._interlocks.emergency_stop.problem(now)
+            # after a silence the driver may have held the chaser: what follows decides nothing
+            if stop := stop or self._interlocks.publishers.conflict(now) or self._silence:
+                return self._fail(stop, now)
         self._note_sources(now)
         if self._is_final and self.verdict in VERDICTS:
             self._enter(TrialPhase.DECIDED, now)
@@ -409,13 +420,15 @@ class Trial:
             is_at_cone = self.launcher.status.state is LauncherPhase.DELIVERED
             may_touch = reason and self._watch.may_have_touched(silence)
             reason = reason or (self._has_actuator and "; ".join(self._steps)) or ""
+            if self._has_actuator and (jump := self._interlocks.jump()):
+                return self._fail(jump, now)
             if is_at_cone or may_touch or self.verdict == _CONTACT:
                 self._watch.note_contact()
                 self._enter(TrialPhase.CONTACT, now)
             elif self.launcher.status.state is LauncherPhase.ABORTED:
                 return self._fail(self.launcher.status.reason, now)
-            elif reason or self._silence:
-                return self._fail(reason or self._silence, now)
+            elif reason:
+                return self._fail(reason, now)
             elif self._lost:
                 return self._fail("; ".join(self._lost.values()), now)
         elif CAPTURE_DETECTOR in self._lost:  # no verdict can come
@@ -430,10 +443,14 @@ class Trial:
             begin = max(now - age, self.released)
             self._silences[topic] = min(begin, self._silences.get(topic, (begin, 0.0))[0]), now
         self._steps = self._interlocks.clock_steps() or self._steps
+        self._jump = self._jump or self._interlocks.jump()
 
     @property
     def sensor_problems(self) -> list[str]:
-        """A line for each sensor that was silent, or whose clock was set, before the verdict."""
+        """A line for each sensor that was silent, jumped or whose clock was set before the verdict.
+
+        Also one for a target that has moved before the contact.
+        """
         lines = []
         for topic, (begin, end) in self._silences.items():
             since = max(0.0, begin - self.released)
@@ -442,7 +459,7 @@ class Trial:
                 f"{topic}: stopped {since:.2f} s after the release"
                 + (f", for {end - begin:.2f} s" if is_over else "")
             )
-        return [*lines, *self._steps]
+        return [*lines, *self._steps, *filter(None, (self._watch.target_motion, self._jump))]
 
     def _await_others(self, now: float, in_phase: float) -> None:
         if self._are_others_done or not self._is_announced:
@@ -454,6 +471,7 @@ class Trial:
     def _fail(self, reason: str, now: float) -> list[TrialStep]:
         """Hold the chaser and end the trial with this failure reason."""
         self.failure = reason
+        self._held_stamp = self._stamps[1]
         self.launcher.abort(reason)
         return [TrialStep.ABORT, *self._close(now)] if self._is_announced else self._close(now)
 

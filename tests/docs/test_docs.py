@@ -43,11 +43,11 @@ from capture_sim.scene.parts import Scene
 from capture_sim.trial.interlocks import (
     MAX_REST_STROKE,
     MAX_REST_TORSION,
-    MAX_START_TURN,
     RULES,
     TrialLimits,
 )
-from capture_sim.trial.standstill import MAX_DRIFT, MAX_START_ERROR, WINDOW
+from capture_sim.trial.rest import MAX_START_ERROR, POSE_LIMITS, WINDOW
+from capture_sim.trial.starts import MAX_START_TURN
 from tools import reference, setup_env
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -365,15 +365,19 @@ def test_the_page_on_rigs_has_the_limits_of_the_launcher():
             if name in limits and (number := re.match(r"[\d.]+", default)):
                 written[name] = float(number[0])
     missing = set(limits) - set(written)
-    assert missing == {"after_verdict", "closing_timeout"}  # these refuse and abort nothing
+    # the first two refuse and abort nothing, the last is no number
+    assert missing == {"after_verdict", "closing_timeout", "require_emergency_stop"}
     assert written == {name: limits[name] for name in written}
-    start, rest, still = (
+    start, rest, still, moves = (
         next(row[1] for row in rows if row[0].startswith(f"rule `{name}`"))
-        for name in ("start", "buffer_rest", "standstill")
+        for name in ("start", "buffer_rest", "standstill", "target_standstill")
     )
-    assert start == f"{1e3 * MAX_START_ERROR:g} mm, {math.degrees(MAX_START_TURN):g} degrees"
+    limits_of_start = f"{1e3 * MAX_START_ERROR:g} mm, {math.degrees(MAX_START_TURN):g} degrees"
+    assert start.startswith(f"{limits_of_start}, at most a third of the distance")
     assert rest == f"{1e3 * MAX_REST_STROKE:g} mm, {MAX_REST_TORSION:g} rad"
-    assert still == f"{1e3 * MAX_DRIFT:g} mm within {WINDOW:g} s"
+    limit = POSE_LIMITS[0]
+    permitted = f"{1e3 * limit.excursion:g} mm and {1e3 * limit.speed:g} mm/s within {WINDOW:g} s"
+    assert still == moves == permitted
 
 
 def test_the_scene_reference_explains_every_part_and_field():

@@ -52,7 +52,7 @@ def watched(seed, outcome, *failure, backlog=0.0, clump=0.0, **disturbance):
             if launcher.status.state is LauncherPhase.ARMED:
                 launcher.release()
                 watch.release(0.0)
-        watch.add_target(measured[Source.TARGET])
+        watch.add_target(measured[Source.TARGET], evaluated)
         watch.add_chaser(1.2e9 + stamp, measured[Source.CHASER], evaluated)
         if launcher.status.state in (LauncherPhase.DELIVERED, LauncherPhase.ABORTED):
             break

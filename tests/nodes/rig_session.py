@@ -16,6 +16,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 
 from capture_sim.cli import main
+from capture_sim.detection.criteria import CaptureState
 from capture_sim.hardware.messages import stamp_of
 from tests.nodes.bench_client import ros_arguments, wait_until
 from tests.nodes.own_domain import participant
@@ -174,6 +175,13 @@ class Session:
             "std_msgs/msg/Bool",
             "launcher/hold",
             lambda message: self.holds.append((time.monotonic(), message.data)),
+            QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+        )
+        self.verdicts = []  # label and final, as the detector's topic has them
+        client.subscribe(
+            "capture_sim/msg/CaptureStatus",
+            "capture/verdict",
+            lambda status: self.verdicts.append((CaptureState(status.state).label, status.final)),
             QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL),
         )
         self.stamps = []  # s by the bench's clock, of the load cell, which never falls silent

@@ -1,13 +1,17 @@
 """Accidents of a laboratory over DDS: each is refused, aborted or named, by a bench at fault."""
 
 import math
+import shutil
+import signal
 import sys
+import threading
 import time
 from pathlib import Path
 
 import pytest
 from capture_sim.action import RunTrial
 from rig_session import ABORTED, SUCCEEDED, FakeRig, Goal, Session, actions_of, rig
+from std_msgs.msg import Bool
 
 from tests.nodes.bench_client import wait_until
 
@@ -40,11 +44,29 @@ class FaultyRig(FakeRig):
                     offset = 3.0
                 case "moves" if not going:
                     place.x += 0.01 * self.chaser.t
+                case "swings" if not going and publisher is self.cameras[0]:
+                    place.x += 0.008 * math.sin(2.0 * math.pi * self.chaser.t)
+                case "target swings" if not going and publisher is self.cameras[1]:
+                    place.y += 0.01 * math.sin(2.0 * math.pi * self.chaser.t)
+                case "target pushed" if going and publisher is self.cameras[1]:
+                    place.y += 0.02 * min(max(self.chaser.going - 1.0, 0.0), 0.5)
+                case "names exchanged" if going and self.chaser.going > 1.0:
+                    publisher = self.cameras[1 - self.cameras.index(publisher)]
+                case "another origin" if going and self.chaser.going > 1.0:
+                    place.x += 0.2
+                case "another scene" if publisher is self.cameras[1]:
+                    q.z, q.w = math.sin(math.radians(5.0)), math.cos(math.radians(5.0))
+                case "stamp 0" if self.chaser.t > 1.0:
+                    message.header.stamp.sec = message.header.stamp.nanosec = 0
+                    publisher.publish(message)
+                    return
                 case "steps in flight" if going:
                     offset = -5.0
         elif publisher is self.encoders:
             hinge, slide = message.position
             match self.fault:
+                case "other joints":
+                    message.name = ["a", "b"]
                 case "slide in mm":
                     message.position = [hinge, 1e3 * slide - 200.0]
                 case "slide inverted":
@@ -61,7 +83,12 @@ class FaultyRig(FakeRig):
 
 
 #: Real time: the clocks are compared with this machine's.
-LIMITS = {"start_timeout": 2.0, "waive": "[standstill]", "time_limit": 8.0, "stop_timeout": 1.0}
+LIMITS = {
+    "start_timeout": 2.0,
+    "waive": "[standstill, target_standstill]",
+    "time_limit": 8.0,
+    "stop_timeout": 1.0,
+}
 LIMITS |= {"after_verdict": 1.0, "max_buffer_age": 1.0}
 REFUSED = {
     "poses in mm": "[rule start]",
@@ -71,6 +98,19 @@ REFUSED = {
     "3 s ahead": "refused (clocks_apart)",
     "slide in mm": "[rule buffer_rest]",
     "steady clock": "[rule machine_clock]",
+}
+#: ... of a laboratory that waives nothing: what a source did before tells nothing of the present.
+REFUSED_AT_LAST = {
+    "swings": "the chaser moves by ",
+    "target swings": "the target moves by ",
+    "another scene": "this is nearer to the start of tilt_p10",
+    "stamp 0": "refused (stamps_unset)",
+    "other joints": "joint_states: messages without a measurement: ",
+}
+#: The approach ends at once.
+ABORTED_AT_ONCE = {
+    "names exchanged": "as no body can",
+    "another origin": "jumped by 2",
 }
 UNDECIDED = {
     "slide inverted": "refused (buffer_inverted)",
@@ -103,8 +143,86 @@ def test_what_is_wrong_before_a_release_refuses_it(session):
     assert session.let_go == 0
 
 
+def test_what_moves_or_is_elsewhere_or_gives_nothing_is_not_let_go(start, client, tmp_path):
+    limits = LIMITS | {"waive": "[]", "start_timeout": 4.0}
+    session = Session(start, client, tmp_path, launcher=limits)
+    for fault, words in REFUSED_AT_LAST.items():
+        status, result = tried(session, fault)
+        assert (status, result.verdict, session.let_go) == (ABORTED, "", 0), fault
+        assert words in result.reason, (fault, result.reason)
+
+
+def test_a_jump_in_flight_ends_the_approach_and_a_moved_target_is_named(session):
+    for fault, words in ABORTED_AT_ONCE.items():
+        status, result = tried(session, fault)
+        assert (status, result.verdict, result.complete) == (ABORTED, "undecided", False), fault
+        assert words in result.reason, (fault, result.reason)
+        assert session.verdicts[-1] == ("undecided", True)
+    _, result = tried(session, "target pushed")
+    assert math.isnan(result.impact_speed)
+    assert any("target: moved by " in problem for problem in result.problems)
+
+
+def test_the_emergency_stop_holds_and_decides_nothing(start, client, tmp_path):
+    limits = LIMITS | {"waive": "[]", "start_timeout": 6.0, "require_emergency_stop": True}
+    session = Session(start, client, tmp_path, launcher=limits)
+    status, result = tried(session, "")
+    assert (status, session.let_go) == (ABORTED, 0)
+    assert "emergency_stop: unknown, no message" in result.reason
+    button = client.node.create_publisher(Bool, "emergency_stop", 10)
+    is_pressed, over = [True], threading.Event()
+
+    def publish():
+        while not over.wait(0.1):
+            button.publish(Bool(data=is_pressed[0]))
+
+    sender = threading.Thread(target=publish, daemon=True)
+    sender.start()
+    try:
+        status, result = tried(session, "")
+        assert (status, session.let_go) == (ABORTED, 0)
+        assert "emergency_stop: pressed" in result.reason
+        is_pressed[0] = False
+        with rig(FaultyRig, {"hold_timeout": 60.0}) as node:
+            wait_until(lambda: node.armed)
+            goal = Goal(session.actions)
+            goal.await_phase(RunTrial.Feedback.APPROACH)
+            wait_until(lambda: node.chaser.x > 0.05)
+            is_pressed[0] = True
+            status, result = goal.result()
+        assert (status, result.verdict) == (ABORTED, "undecided")
+        assert "emergency_stop: pressed" in result.reason
+        assert session.verdicts[-1] == ("undecided", True)
+        assert session.let_go == 1
+    finally:
+        over.set()
+        sender.join()
+
+
+def test_a_file_that_is_gone_or_has_holes_is_not_complete(session):
+    def tried_while(meddle):
+        with rig(FaultyRig, {"hold_timeout": 60.0}) as node:
+            wait_until(lambda: node.armed)
+            goal = Goal(session.actions)
+            goal.await_phase(RunTrial.Feedback.APPROACH)
+            meddle()
+            return goal.result()[1]
+
+    def stand_still():
+        session.recorder.process.send_signal(signal.SIGSTOP)
+        time.sleep(2.0)
+        session.recorder.process.send_signal(signal.SIGCONT)
+
+    result = tried_while(lambda: shutil.rmtree(session.folder))
+    assert not result.complete
+    assert any("is gone" in problem or "No such file" in problem for problem in result.problems)
+    result = tried_while(stand_still)
+    assert not result.complete
+    assert any("no measurement from " in problem for problem in result.problems)
+
+
 def test_a_chaser_that_moves_is_not_let_go_and_late_stamps_are_no_fault(start, client, tmp_path):
-    limits = LIMITS | {"waive": "[]"}
+    limits = LIMITS | {"waive": "[]", "start_timeout": 8.0}
     session = Session(start, client, tmp_path, launcher=limits)
     status, result = tried(session, "moves")
     assert (status, result.verdict, session.let_go) == (ABORTED, "", 0)
@@ -169,5 +287,5 @@ def test_a_driver_that_ignores_the_hold_is_an_alarm(session, client):
         assert (status, result.verdict) == (ABORTED, "")
         assert "its driver does not hold it" in result.reason
         node.fault = ""  # mended; it hears the hold, and is pulled back
-        session.launcher.wait_for("the chaser stands at its start again")
+        session.launcher.wait_for("the chaser is at rest at its start again")
         assert session.let_go == 1

@@ -4,10 +4,10 @@ import re
 
 import numpy as np
 import pytest
+from live_measurements import LiveMeasurements
 
 from capture_sim.plausibility.check import check
 from capture_sim.plausibility.clocks import MAX_OFFSET
-from capture_sim.plausibility.live import LiveMeasurements
 
 TODAY = 1_760_000_000.0  # s
 SOURCES = ("chaser", "target", "buffer", "force")

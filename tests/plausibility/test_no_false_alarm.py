@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rig_noise
+from live_measurements import LiveMeasurements
 
 from capture_sim.plausibility.check import check
-from capture_sim.plausibility.live import LiveMeasurements
 from capture_sim.plausibility.measured import Poses
 from capture_sim.plausibility.rules import Grade
 

@@ -11,7 +11,7 @@ from capture_sim import load_scene
 from capture_sim.launcher.state_machine import Launcher, LauncherPhase
 from capture_sim.scene.launch_plan import rolling_force
 from capture_sim.trial.bench_watch import BenchWatch, TravelFit, gap_to_cone
-from capture_sim.trial.standstill import WINDOW
+from capture_sim.trial.rest import WINDOW
 
 SCENE = load_scene("tilt_0")
 STOP_TRAVEL = 0.2142  # m, of a tip on the cone's axis
@@ -64,7 +64,7 @@ def launch(
             continue
         if last is None or not any(begin <= t < end for begin, end in frozen):
             last = in_frame(travel(t), 0.0, 0.0)
-        watch.add_target(in_frame(*target, 0.0))
+        watch.add_target(in_frame(*target, 0.0), t)
         stamp = t + rng.uniform(0.0, 1.0) * jitter
         if rng.uniform() < wild:
             last, stamp = in_frame(0.5, 0.3, 0.0), stamp + rng.choice([-3600.0, -0.2, 3600.0])

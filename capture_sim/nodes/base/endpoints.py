@@ -28,6 +28,9 @@ DISCOVERY_TIME = 0.3
 TRANSIT_TIME = 0.5
 #: Quality of service that keeps the last message for late subscribers.
 TRANSIENT_LOCAL = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+#: Quality of service that no publisher's excludes: best effort and volatile.
+ANYONE = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+BOOL = "std_msgs/msg/Bool"
 
 
 @cache

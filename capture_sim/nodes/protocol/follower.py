@@ -120,6 +120,7 @@ class _Participation:
         self.run = run
         self.streams = Completeness([SIMULATOR] if run.simulated else [], followed)
         self.counts: Any = None  # StreamCounts by which the simulator has ended it
+        self.failure = ""  # why the launcher has ended a trial early, if it has
         self.has_begun = self.has_ended = False
         self.is_closed = False  # the announcer has announced that no run is on
         self.since = time.monotonic()
@@ -250,6 +251,11 @@ class Follower:
         if present is None or not present.run.simulated:
             return False
         return present.counts is None or not present.counts.complete
+
+    @property
+    def failure(self) -> str:
+        """Why the launcher has ended the present trial early; empty if it has not."""
+        return "" if self._present is None else one_line(self._present.failure)
 
     def note_message(self, topic: Topic) -> None:
         """Note a message of the run, if any, on a topic not subscribed by :meth:`follow`."""
@@ -411,7 +417,11 @@ class Follower:
 
     def _hear_counts(self, counts: Any) -> None:
         sent, present = counts_of(counts), self._present
-        if present is None or (counts.publisher, counts.run_id) != (SIMULATOR, present.run.id):
+        if present is None or counts.run_id != present.run.id:
+            return
+        if counts.publisher == LAUNCHER:
+            present.failure = str(counts.reason)
+        if counts.publisher != SIMULATOR:
             return
         present.streams.end(SIMULATOR, sent)
         present.counts, present.has_ended = counts, True

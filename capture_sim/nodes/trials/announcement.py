@@ -109,7 +109,7 @@ class TrialAnnouncement:
         if CAPTURE_DETECTOR not in self._taking_part.roles and trial.is_released:
             reason = reason or "no capture_detector takes part"
         files = [report.file for report in reports if report.file]
-        problems = [*self._absent, *trial.problems, *trial.sensor_problems, *trial.doubts]
+        problems = [*self._absent, *trial.problems, *trial.sensor_problems]
         problems += [problem for report in reports for problem in report.problems]
         if self._announced is not None:
             problems += [f"{node}: {GONE}" for node in self._announced.gone()]

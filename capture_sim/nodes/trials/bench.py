@@ -8,23 +8,31 @@ due, so that no queue of waiting measurements delays it.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from capture_sim.detection.criteria import CaptureState
 from capture_sim.detection.measurements import Source
-from capture_sim.errors import one_line
+from capture_sim.errors import MessageError, one_line
 from capture_sim.messages.cdr import Numbers
 from capture_sim.messages.convert import stamp_in
 from capture_sim.messages.definitions import typestore
-from capture_sim.messages.measurements import STAMP, TOPICS_OF_SOURCE, MeasurementReader
-from capture_sim.messages.topics import CAPTURE_VERDICT, HOLD, LOAD_CELL, Topic
+from capture_sim.messages.measurements import TOPICS_OF_SOURCE, MeasurementReader
+from capture_sim.messages.topics import (
+    CAPTURE_VERDICT,
+    EMERGENCY_STOP,
+    HOLD,
+    LOAD_CELL,
+    Topic,
+)
 from capture_sim.nodes.base.diagnostics import PERIOD, Diagnostics, DiagnosticStatus, Level
 from capture_sim.nodes.base.endpoints import (
+    ANYONE,
+    BOOL,
     TRANSIENT_LOCAL,
     full_name,
     message_class,
@@ -33,9 +41,11 @@ from capture_sim.nodes.base.endpoints import (
 )
 from capture_sim.nodes.base.node import LOOK_UP_PERIOD, BenchNode
 from capture_sim.nodes.trials.evidence import Evidence, refusing
+from capture_sim.plausibility.rules import Doubt
 from capture_sim.scene.parts import Scene
 from capture_sim.trial.hold import HoldOutput, HoldPublishers, HoldReaders
 from capture_sim.trial.interlocks import Interlocks, TrialLimits
+from capture_sim.trial.rest import Pose
 from capture_sim.trial.trial import Trial, TrialStep
 
 #: Period of the timer by which time limits are checked, s (wall).
@@ -43,7 +53,6 @@ TICK = 0.02
 #: If the timer is later than this, s (wall), this node was busy and messages wait to be read.  The
 #: node then reads them for as long before the trial decides.
 MAX_LATENESS = 0.1
-BOOL = "std_msgs/msg/Bool"
 #: Examples that convert a driver's type of message to PoseStamped.
 RELAYS = {
     "geometry_msgs/msg/TransformStamped": "relay_transform.py",
@@ -80,6 +89,8 @@ class TrialBench:
     has_actuator
         True if launcher/hold lets the chaser go.  False: launcher/hold is not published, and the
         chaser is released by hand.
+    starts
+        Relative poses at the start of the known scenes, by name.
 
     Attributes
     ----------
@@ -89,8 +100,6 @@ class TrialBench:
         Stamp of the latest pose of the chaser in a trial, ns.
     interlocks
         Conditions for a release, with the latest measurements.
-    evidence
-        Measurements for the check of plausibility.
     """
 
     def __init__(
@@ -103,6 +112,7 @@ class TrialBench:
         suite: Callable[[], set[str]],
         *,
         has_actuator: bool,
+        starts: Mapping[str, Pose],
     ) -> None:
         self.steps: list[TrialStep] = []
         self.stamp = 0
@@ -115,31 +125,37 @@ class TrialBench:
             source: [topic.name for topic in measuring]
             for source, measuring in TOPICS_OF_SOURCE.items()
         }
-        self.evidence, self._scene = Evidence(waived), scene
+        self._evidence, self._scene = Evidence(waived), scene
+        # in another thread: this one does nothing that may delay launcher/hold
+        self._checker = ThreadPoolExecutor(1, "plausibility")
+        self._check: Future[tuple[Doubt, ...]] | None = None  # the one that is on
+        self._check_began = 0.0  # s
         self._doubted = ""  # as last logged
         self._last_tick = self._caught_up = now = time.monotonic()
         publishers = HoldPublishers(node.get_fully_qualified_name(), now)
         self.interlocks = Interlocks(limits, topics, HoldReaders(driver), publishers, waived)
+        self.interlocks.starts = starts
         self._hold: HoldOutput | None = None
         if has_actuator:
-            self.interlocks.look_for_implausible = self._check_plausibility
+            self.interlocks.note_check((), now)
+            self.interlocks.request_check = self._request_check
             # transient local, so that a driver which starts late holds from its first message on
             kind = message_class(BOOL)
             output = node.create_publisher(kind, HOLD, TRANSIENT_LOCAL)
             self._hold = HoldOutput(lambda is_held: output.publish(kind(data=is_held)))
             self._output_hold()
-            # best effort and volatile matches every publisher: another hand is found at once
+            # it matches every publisher: another hand is found at once
             watch = SubscriptionEventCallbacks(matched=node.guarded(self._hear_publisher))
-            anyone = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
             node.create_subscription(
-                kind, HOLD, node.guarded(self._hear_hold), anyone, event_callbacks=watch
+                kind, HOLD, node.guarded(self._hear_hold), ANYONE, event_callbacks=watch
             )
-        self._force = Numbers(
-            typestore(),
-            LOAD_CELL.type_name,
-            *STAMP,
-            *(f"wrench.force.{axis}" for axis in "xyz"),
-        )
+            # twice: one that is latched, and one that no publisher's quality of service excludes
+            for qos in (TRANSIENT_LOCAL, ANYONE):
+                node.create_subscription(
+                    kind, EMERGENCY_STOP, node.guarded(self._hear_emergency_stop), qos
+                )
+        names = (f"wrench.force.{axis}" for axis in "xyz")
+        self._force = Numbers(typestore(), LOAD_CELL.type_name, *names)
         for source, measuring in TOPICS_OF_SOURCE.items():
             for topic in measuring:
                 take = partial(self._receive, source, topic, MeasurementReader(topic))
@@ -163,6 +179,11 @@ class TrialBench:
         self._trial = None
         self._output_hold()
 
+    def close(self) -> None:
+        """Hold the chaser, and end the thread that checks plausibility."""
+        self.end()
+        self._checker.shutdown(cancel_futures=True)
+
     def take_steps(self) -> list[TrialStep]:
         """Return the steps that the trial has decided since the last call."""
         steps, self.steps = self.steps, []
@@ -182,33 +203,37 @@ class TrialBench:
         self, source: Source, topic: Topic, reader: MeasurementReader, data: bytes
     ) -> None:
         self._output_hold()
-        stamp, values = reader(data)
         now = time.monotonic()
+        self._evidence.add(topic, data, int(now * 1e9))
+        try:
+            stamp, values = reader(data)
+        except MessageError as error:
+            self.interlocks.monitors[topic.name].add_empty(str(error), now)
+            raise
         # rates are not used: a driver without velocities may send NaN
-        if source is Source.BUFFER:
-            self.evidence.add_buffer(topic, stamp, int(now * 1e9), values[0], values[1])
-            self.interlocks.add(topic.name, stamp, values[:2], now)
-            if self._trial is not None:
-                self._trial.add_buffer(topic.name, values[0], values[1])
-            return
-        self.evidence.add_pose(source.value, topic, data, stamp, int(now * 1e9))
-        pose = values[0], values[1], values[2]
-        self.interlocks.add(topic.name, stamp, pose, now)
+        values = values[: source.size]
+        self.interlocks.add(topic.name, stamp, values, now)
         if self._trial is None:
             return
-        self._trial.add_pose(source, topic.name, stamp, pose, now)
+        if source is Source.BUFFER:
+            self._trial.add_buffer(topic.name, values[0], values[1])
+            return
+        self._trial.add_pose(source, topic.name, stamp, (values[0], values[1], values[2]), now)
         if source is Source.CHASER:
             self.stamp = stamp
             self._decide(now)
 
     def _receive_force(self, data: bytes) -> None:
         self._output_hold()
-        sec, nanosec, *force = self._force(data).item()
-        x, y, z = force
-        now = time.monotonic_ns()
-        self.evidence.add_force(data, sec * 1_000_000_000 + nanosec, now, (x, y, z))
+        self._evidence.add(LOAD_CELL, data, time.monotonic_ns())
         if self._trial is not None:
-            self._trial.add_force(x, y, z)
+            self._trial.add_force(*self._force(data).item())
+
+    def _hear_emergency_stop(self, message: Any) -> None:
+        now = time.monotonic()
+        self.interlocks.emergency_stop.note(is_pressed=bool(message.data), now=now)
+        self._decide(now)
+        self._output_hold()
 
     def _receive_verdict(self, status: Any) -> None:
         if self._trial is None:
@@ -222,6 +247,7 @@ class TrialBench:
         if self._is_late(now):
             self._caught_up = now + MAX_LATENESS
         self._last_tick = now
+        self._take_check()
         if self.interlocks.publishers.has_nameless:
             self._look_up_publishers_of_hold()
         self._decide(now)
@@ -234,7 +260,7 @@ class TrialBench:
                 if self._alarm:
                     log.error(self._alarm)
                 else:  # a line of its own: rclpy wants one severity a place
-                    log.info("the chaser stands at its start again")
+                    log.info("the chaser is at rest at its start again")
 
     def _diagnose(self) -> None:
         """Publish on /diagnostics whether the chaser could be let go now, else why not.
@@ -282,30 +308,42 @@ class TrialBench:
             self._node.get_logger().error(conflict)
         self._conflict = conflict
 
-    def _check_plausibility(self) -> None:
-        """Check the last seconds by the rules of plausibility.
+    def _request_check(self) -> None:
+        """Have the last seconds checked by the rules of plausibility, unless that is being done."""
+        if self._check is not None:
+            return
+        scene = self._scene if self._trial is None else self._trial.scene
+        self._check_began = time.monotonic()
+        latest = self._evidence.latest(int(self._check_began * 1e9))
+        self._check = self._checker.submit(self._evidence.before_release, latest, scene)
+
+    def _take_check(self) -> None:
+        """Note the result of a check of plausibility, if one is done.
 
         Broken rules that refuse a release are noted for the interlocks.  The others are logged each
         time a different set of them is broken.
         """
-        scene = self._scene if self._trial is None else self._trial.scene
-        doubts = self.evidence.before_release(scene)
+        if self._check is None or not self._check.done():
+            return
+        check, self._check = self._check, None
+        doubts = check.result()
         grave = refusing(doubts)
-        self.interlocks.implausible = tuple(doubt.line for doubt in grave)
-        noted = "; ".join(doubt.line for doubt in doubts if doubt not in grave)
-        kinds = ", ".join(doubt.rule.name for doubt in doubts if doubt not in grave)
+        self.interlocks.note_check([doubt.line for doubt in grave], self._check_began)
+        noted = [doubt for doubt in doubts if doubt not in grave]
+        kinds = ", ".join(doubt.rule.name for doubt in noted)
         if kinds != self._doubted:
             self._doubted = kinds
             if noted:
-                self._node.get_logger().warning(one_line(noted))
+                lines = "; ".join(doubt.line for doubt in noted)
+                self._node.get_logger().warning(one_line(lines))
 
     def _look_up_others(self) -> None:
         """Note which nodes publish the measurements, and which read and publish launcher/hold.
 
-        Unless a chaser is released, also check the plausibility of the last seconds.
+        Unless a chaser is released, also have the plausibility of the last seconds checked.
         """
         if self._hold is not None and (self._trial is None or not self._trial.is_released):
-            self._check_plausibility()
+            self._request_check()
         self.interlocks.machine_clock = time.time() - time.monotonic()
         self._look_up_publishers_of_hold()
         nodes, mismatches = {}, {}
@@ -346,8 +384,6 @@ class TrialBench:
         if is_held is not self._is_held:
             self._is_held = is_held
             self.interlocks.note_hold(is_held, now)
-            if not is_held:
-                self.evidence.begin()
         self._hold.update(is_held, now)
 
 

@@ -1,86 +1,98 @@
-"""Measurements for the check of plausibility before a release and after a verdict."""
+"""Measurements of a running node for the rules of plausibility, kept as they arrive."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Collection
+from dataclasses import replace
+from itertools import takewhile
+from pathlib import Path
 
-from capture_sim.messages.cdr import Numbers, frame_id_of
-from capture_sim.messages.definitions import typestore
-from capture_sim.messages.topics import LOAD_CELL, Topic
-from capture_sim.plausibility.check import check
-from capture_sim.plausibility.live import LiveMeasurements
+from capture_sim.messages.topics import Topic
 from capture_sim.plausibility.rules import RULES, Doubt, Grade
+from capture_sim.recording.bag import Bag
+from capture_sim.recording.contents import Contents
+from capture_sim.recording.evidence import evidence_in
+from capture_sim.run.doubts import doubts_of
 from capture_sim.scene.parts import Scene
 
-#: Length of the latest measurements, s, that are checked before a release, and of a trial.
-BEFORE, TRIAL = 2.0, 60.0
-_POSE = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))
-_PREFIXES = {"geometry_msgs/msg/PoseStamped": "pose", "nav_msgs/msg/Odometry": "pose.pose"}
+#: Length of the latest messages, s, that are checked before a release.
+BEFORE = 2.0
+#: Limits of what is kept of each topic: time, s, and bytes.
+MAX_AGE, MAX_BYTES = 120.0, 32 * 2**20
+
+
+class _Kept:
+    """The latest messages of one topic."""
+
+    def __init__(self, topic: Topic) -> None:
+        self.topic = topic
+        self.rows: deque[tuple[int, bytes]] = deque()  # arrival, ns
+        self._n_bytes = 0
+
+    def add(self, data: bytes, arrival: int) -> None:
+        rows = self.rows
+        rows.append((arrival, data))
+        self._n_bytes += len(data)
+        while rows[0][0] < arrival - MAX_AGE * 1e9 or self._n_bytes > MAX_BYTES:
+            self._n_bytes -= len(rows.popleft()[1])
 
 
 class Evidence:
-    """Keeps measurements, and checks them against the rules of :mod:`capture_sim.plausibility`.
+    """Keeps serialised messages, and checks them by the rules, as ``detect`` checks a recording.
 
-    It keeps two sets: the last :data:`BEFORE` s, for the check before a release, and the
-    measurements since the release, for the check after the verdict.  ``waived`` are the names of
-    rules that are not checked; names that are not rules of plausibility are ignored.
+    ``waived`` are the names of rules that are not checked; names that are not rules of plausibility
+    are ignored.  Arrivals are ns by the steady clock of this machine.
     """
 
     def __init__(self, waived: Collection[str]) -> None:
         self._waived = [name for name in waived if name in RULES]
-        self._before, self._trial = LiveMeasurements(BEFORE), LiveMeasurements(TRIAL)
-        self._poses = {
-            kind: Numbers(typestore(), kind, *(f"{prefix}.{name}" for name in _POSE))
-            for kind, prefix in _PREFIXES.items()
-        }
+        self._kept: dict[str, _Kept] = {}
+        self._begun = 0  # ns, arrival from which on a trial counts
 
-    def begin(self) -> None:
-        """Note the release: :meth:`of_trial` checks only measurements added from now on."""
-        self._trial.clear()
+    def begin(self, now: int) -> None:
+        """Note the release: :meth:`of_trial` checks only messages that arrive from now on, ns."""
+        self._begun = now
 
-    def add_pose(self, vehicle: str, topic: Topic, data: bytes, stamp: int, arrival: int) -> None:
-        """Add a serialised pose message ``data`` of a vehicle, ``chaser`` or ``target``.
+    def add(self, topic: Topic, data: bytes, arrival: int) -> None:
+        """Add a serialised message of a topic."""
+        kept = self._kept.get(topic.name)
+        if kept is None:
+            kept = self._kept[topic.name] = _Kept(topic)
+        kept.add(data, arrival)
 
-        ``stamp``: its stamp, ns, by the source's clock.  ``arrival``: its time of arrival, ns, by
-        the steady clock of this machine.
+    def latest(self, now: int) -> Bag:
+        """Return the messages of the last :data:`BEFORE` s, for :meth:`before_release`.
+
+        It is a copy, which another thread may check.
         """
-        numbers = self._poses[topic.type_name](data).item()
-        frame = frame_id_of(topic, data)
-        for live in (self._before, self._trial):
-            live.add_pose(vehicle, topic.name, stamp, arrival, numbers[:3], numbers[3:], frame)
+        return self._since(now - int(BEFORE * 1e9))
 
-    def add_buffer(
-        self, topic: Topic, stamp: int, arrival: int, stroke: float, torsion: float
-    ) -> None:
-        """Add a state of the buffer: stroke (m) and torsion (rad); times as in :meth:`add_pose`."""
-        for live in (self._before, self._trial):
-            live.add_buffer(topic.name, stamp, arrival, stroke, torsion)
-
-    def add_force(
-        self, data: bytes, stamp: int, arrival: int, force: tuple[float, float, float]
-    ) -> None:
-        """Add a force of the load cell, N, with its serialised message ``data``.
-
-        The message gives the frame; times as in :meth:`add_pose`.
-        """
-        frame = frame_id_of(LOAD_CELL, data)
-        for live in (self._before, self._trial):
-            live.add_force(LOAD_CELL.name, stamp, arrival, force, frame)
-
-    def before_release(self, scene: Scene | None) -> tuple[Doubt, ...]:
-        """Return the broken rules of the last :data:`BEFORE` s, each with its finding.
+    def before_release(self, latest: Bag, scene: Scene | None) -> tuple[Doubt, ...]:
+        """Return the broken rules of the latest messages, each with its finding.
 
         Without a scene, the rules that need one are not checked.
         """
-        return check(self._before.measured(is_before_release=True), scene, self._waived)
+        held = [replace(each, is_before_release=True) for each in evidence_in(latest)]
+        return doubts_of(held, scene, self._waived)
 
     def of_trial(self, scene: Scene) -> tuple[Doubt, ...]:
-        """Return the broken rules of the trial since its release, each with its finding.
+        """Return the broken rules of the messages since the release, each with its finding.
 
-        Of a long trial, only the last :data:`TRIAL` s count, and of each source at most the latest
-        :data:`capture_sim.plausibility.live.MAX_KEPT` messages.
+        Of a long trial, only the last :data:`MAX_AGE` s count.
         """
-        return check(self._trial.measured(), scene, self._waived)
+        return doubts_of(evidence_in(self._since(self._begun)), scene, self._waived)
+
+    def _since(self, begin: int) -> Bag:
+        contents = Contents()
+        for kept in self._kept.values():
+            rows = list(takewhile(lambda row: row[0] >= begin, reversed(kept.rows)))[::-1]
+            name = kept.topic.absolute_name
+            if rows:
+                contents.types[name] = kept.topic.type_name
+                contents.log_times[name] = [arrival for arrival, _ in rows]
+                contents.messages[name] = [data for _, data in rows]
+        return Bag(Path("the last messages"), contents)
 
 
 def refusing(doubts: Collection[Doubt]) -> list[Doubt]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,10 +33,12 @@ from capture_sim.nodes.protocol.follower import RUN_END_TIMEOUT
 from capture_sim.nodes.protocol.roll import Roll
 from capture_sim.nodes.trials.announcement import TrialAnnouncement
 from capture_sim.nodes.trials.bench import TICK, TrialBench
-from capture_sim.nodes.trials.evidence import refusing
-from capture_sim.scene.loading import load_requested
+from capture_sim.scene.files import scene_names
+from capture_sim.scene.loading import load_requested, load_scene
 from capture_sim.scene.parts import Scene
 from capture_sim.trial.interlocks import TrialLimits
+from capture_sim.trial.rest import Pose
+from capture_sim.trial.starts import start_of
 from capture_sim.trial.trial import (
     Trial,
     TrialGoal,
@@ -115,6 +118,7 @@ class TrialServer:
             settings.scene,
             lambda: {part.node for part in self._roll.parts.values()},
             has_actuator=settings.has_actuator,
+            starts=_starts(settings),
         )
         self._trial: Trial | None = None
         self._handle: Any = None  # of the goal that is served, until its result is sent
@@ -151,7 +155,7 @@ class TrialServer:
                 self._node.wait(lambda: self._handle is not None)
                 self._serve()
         finally:
-            self._bench.end()
+            self._bench.close()
             if self._goal_id:
                 self._answer_last_goal()
 
@@ -244,9 +248,6 @@ class TrialServer:
         finally:
             self._trial = None
             self._bench.end()
-            if trial.is_released and trial.verdict and self._settings.has_actuator:
-                doubts = self._bench.evidence.of_trial(trial.scene)
-                trial.doubts = tuple(doubt.line for doubt in refusing(doubts))
             self._finish(run)
 
     def _follow(self, handle: Any, run: TrialAnnouncement, limit: float = math.inf) -> None:
@@ -326,6 +327,20 @@ class TrialServer:
         response = self._node.executor.create_task(lambda: None)  # behind that which sends it
         while not response.done():
             self._node.serve(TICK)
+
+
+def _starts(settings: TrialSettings) -> dict[str, Pose]:
+    """Return the relative poses at the start of all scenes that a goal may name, by name.
+
+    A file of the folder that is no scene is left out: it is refused when a goal names it.
+    """
+    scenes = {name: load_scene(name) for name in scene_names()}
+    for path in sorted(settings.scene_folder.glob("*.yaml")) if settings.scene_folder else ():
+        with suppress(CaptureSimError):
+            scenes[path.stem] = load_scene(path)
+    if settings.scene is not None:
+        scenes[settings.scene.name] = settings.scene
+    return {name: start_of(scene) for name, scene in scenes.items()}
 
 
 def _feedback(trial: Trial, now: float) -> Any:

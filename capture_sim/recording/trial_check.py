@@ -1,0 +1,97 @@
+"""What the file of a trial lacks, as it lies on the disk when the trial is over.
+
+A count of messages says nothing of a file that was removed, or of a recorder that stood still while
+the sensors went on.  Therefore the file itself is read again.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from capture_sim.errors import CaptureSimError
+from capture_sim.messages.measurements import OF_A_BENCH
+from capture_sim.messages.topics import CAPTURE_STATUS, LOAD_CELL
+from capture_sim.plausibility.rules import RULES, Grade
+from capture_sim.recording.bag import Bag, read_bag
+from capture_sim.recording.clock import stamps_of
+from capture_sim.recording.read import run_of
+from capture_sim.run.run import Run, detect
+from capture_sim.run.verdict import with_criteria
+
+#: A source has a gap if two of its measurements are further apart than this, s, and than this
+#: number of its periods (median).
+MIN_GAP, GAP_PERIODS = 0.1, 5.0
+#: Accepted difference in the time of a verdict, s: recorder and detector may have received the
+#: messages of different topics in different orders.
+VERDICT_TOLERANCE = 0.1
+
+
+def trial_problems(path: Path) -> list[str]:
+    """Return a line for each thing that the file of a finished trial lacks; empty if it is whole.
+
+    - the file exists, and can be read to its end;
+    - no source has a gap between the release and the verdict, see :data:`MIN_GAP`;
+    - no rule of plausibility excludes a topic, but those that the trial waives;
+    - the detector's verdict, made again from the file, is the recorded one, within 0.1 s.
+    """
+    try:
+        bag = read_bag(path)
+        run = run_of(bag)
+        waived = () if bag.announced is None else bag.announced.waived
+        run = run.replaced(waived=tuple(name for name in waived if name in RULES))
+        grave = [d for d in run.doubts if d.grade is Grade.REFUSED or d.leaves_out_topic]
+        lines = [*bag.damage, *_gaps(bag), *(doubt.line for doubt in grave)]
+        is_refused = any(doubt.grade is Grade.REFUSED for doubt in grave)
+        return lines if is_refused else [*lines, *_other_verdict(run)]
+    except CaptureSimError as error:
+        return [f"read again: {error}"]
+
+
+def _gaps(bag: Bag) -> Iterator[str]:
+    """Yield a line for each gap in a source between the release and the verdict."""
+    last = bag.statuses[-1] if bag.holds(CAPTURE_STATUS) else None
+    end = math.inf if last is None else last.t - last.time_in_state * last.state.is_verdict
+    for topic in (*OF_A_BENCH, LOAD_CELL):
+        if not bag.holds(topic):
+            continue
+        if topic is LOAD_CELL:
+            stamps = stamps_of(bag.readable(topic)[0])
+        else:
+            stamps, values, _ = bag.measured(topic)
+            stamps = stamps[np.isfinite(values[:, : OF_A_BENCH[topic].size]).all(axis=1)]
+        t = np.unique(bag.clock.since(stamps))
+        if len(t) < 2:
+            yield f"{topic.name}: {len(t)} measurements"
+            continue
+        limit = max(MIN_GAP, GAP_PERIODS * float(np.median(np.diff(t))))
+        if math.isfinite(end):  # the end of the file is no gap where the verdict is not known
+            t = np.append(t, max(end, t[-1]))
+        for begin, until in itertools.pairwise(t.tolist()):
+            if until - begin > limit and until > 0.0 and begin < end:
+                yield (
+                    f"{topic.name}: no measurement from {begin:.3f} to {until:.3f} s after the "
+                    "release"
+                )
+
+
+def _other_verdict(run: Run) -> Iterator[str]:
+    """Yield a line if the verdict made again from the file is not the recorded one."""
+    if not run.given.statuses:
+        return
+    given = run.given.statuses[-1]
+    found = detect(run, with_criteria(run.scene, run.given.criteria, ()))[-1]
+    times = [status.t - status.time_in_state for status in (given, found)]
+    is_timed = given.state.is_verdict
+    if given.state is found.state and (
+        not is_timed or abs(times[0] - times[1]) <= VERDICT_TOLERANCE
+    ):
+        return
+    yield (
+        f"verdict: {given.label} at {times[0]:.3f} s, but made again from the file {found.label} "
+        f"at {times[1]:.3f} s"
+    )
