@@ -210,6 +210,10 @@ def _prefixed(message: Any, _: float) -> None:
     message.name = [f"rig/{name}" for name in message.name]
 
 
+def _joints_exchanged(message: Any, _: float) -> None:
+    message.name = list(message.name[::-1])
+
+
 def _joints_times(slide: float, hinge: float) -> Callable[[Any, float], None]:
     def change(message: Any, _: float) -> None:
         factors = [slide if name == "buffer_slide" else hinge for name in message.name]
@@ -290,6 +294,7 @@ CHANGES: dict[str, Callable[[Iterable[Record]], Records]] = {
     "joints_prefixed": lambda r: changed(r, JOINTS, _prefixed),
     "encoder_in_mm": lambda r: changed(r, JOINTS, _joints_times(1e3, 1.0)),
     "encoder_inverted": lambda r: changed(r, JOINTS, _joints_times(-1.0, 1.0)),
+    "joints_exchanged": lambda r: changed(r, JOINTS, _joints_exchanged),
     "encoder_stuck": lambda r: changed(r, JOINTS, _stuck(-np.inf)),
     "encoder_stuck_in_flight": lambda r: changed(r, JOINTS, _stuck(1.5)),
     "cell_drifts": lambda r: changed(r, CELL, _drifting),

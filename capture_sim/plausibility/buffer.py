@@ -21,6 +21,8 @@ _DEVIATIONS = 2.5
 #: Bounds of :func:`spring_ratio`, the spring's impulse over the chaser's change of momentum, which
 #: is about 1.  They are wide, because k_A may be wrong by a third.
 SPRING_LOW, SPRING_HIGH = 0.15, 5.0
+#: ... with the encoder of the torsion: right ones have at most 0.15 in size there.
+EXCHANGED_LOW, EXCHANGED_HIGH = 0.4, 2.0
 #: A stroke (m) and a torsion (rad) that vary by less than this count as not moving.
 _STANDS = (3e-4, 1e-3)
 #: Lags between poses and buffer that are tried, s.
@@ -34,10 +36,11 @@ class Contradiction(NamedTuple):
     stroke does not fit the chaser's change of momentum.
 
     ``kind`` is the likely cause: "stuck" if an encoder does not move, "inverted" if it has the
-    wrong sign, "lag" if its times are shifted against those of the poses, or "other".
+    wrong sign, "exchanged" if each has the name of the other, "lag" if the times are shifted
+    against those of the poses, or "other".
     """
 
-    kind: str  # "stuck", "inverted", "lag" or "other"
+    kind: str
     text: str  # value and expectation
     detail: str  # names of the encoders; the size of the shift for "lag"; may be empty for "other"
 
@@ -56,8 +59,11 @@ def find_contradiction(motion: MeasuredMotion) -> Contradiction | None:
         return None
     ratio = spring_ratio(motion)
     if ratio is not None and not SPRING_LOW <= ratio <= SPRING_HIGH:
+        other = spring_ratio(motion, exchanged=True)
         is_inverted = ratio < -SPRING_LOW
         kind = "inverted" if is_inverted else "stuck" if ratio < SPRING_LOW else "other"
+        if other is not None and EXCHANGED_LOW <= other <= EXCHANGED_HIGH:
+            kind = "exchanged"
         text = (
             f"the spring's impulse by the stroke is {ratio:.3g} of the chaser's change of "
             f"momentum: must be about 1"
@@ -161,8 +167,10 @@ def buffer_inverted(motion: MeasuredMotion) -> Iterator[Said]:
     "buffer_against_poses",
     Grade.REFUSED,
     compares="as buffer_stuck",
-    threshold="ratio above 5; or inside of a wall for another reason",
-    reason="as buffer_stuck",
+    threshold="ratio above 5, or out of 0.15 to 5 and that of the torsion in 0.4 to 2; or inside of "
+    "a wall for another reason",
+    reason="as buffer_stuck; the torsion's is at most 0.15 in size where the joints have their own "
+    "names. Exchanged joints are not found where the first contact hardly changes the speed",
     needs_scene=True,
     needs_poses=True,
 )
@@ -171,14 +179,11 @@ def buffer_against_poses(motion: MeasuredMotion) -> Iterator[Said]:
 
     That is neither an encoder that does not move nor one with the opposite sign.
     """
-    for kind in ("lag", "other"):
+    causes = {
+        "exchanged": "stroke and torsion look exchanged: check the names of the joints",
+        "lag": "the buffer fits the poses {} apart: check the clocks",
+        "other": "check base frames, lengths of the scene, unit and zero of the encoders",
+    }
+    for kind, cause in causes.items():
         for topic, found in _contradicted(motion, kind):
-            cause = (
-                f"the buffer fits the poses {found.detail} apart: check the clocks"
-                if kind == "lag"
-                else "check base frames, lengths of the scene, unit and zero of the encoders"
-            )
-            yield Said(
-                topic,
-                f"{found.text}; {cause}",
-            )
+            yield Said(topic, f"{found.text}; {cause.format(found.detail)}")

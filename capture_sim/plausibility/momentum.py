@@ -91,8 +91,10 @@ def force_ratio(motion: MeasuredMotion) -> float | None:
     return impulse / (motion.scene.chaser_total_mass * change.speed)
 
 
-def spring_ratio(motion: MeasuredMotion) -> float | None:
+def spring_ratio(motion: MeasuredMotion, *, exchanged: bool = False) -> float | None:
     """Return the axial spring's impulse divided by the chaser's change of momentum.
+
+    With ``exchanged``, the encoder of the torsion is taken for that of the stroke.
 
     Both are along the chaser's x axis, over the first contact.  The impulse is ``k_A`` times the
     integral of the stroke; the mass is that of chaser and cylinder.  The ratio is about 1 if
@@ -112,7 +114,7 @@ def spring_ratio(motion: MeasuredMotion) -> float | None:
         return None
     kept = buffer.is_measured
     t, first = np.unique(buffer.t[kept], return_index=True)
-    stroke = buffer.stroke[kept][first]
+    stroke = (buffer.torsion if exchanged else buffer.stroke)[kept][first]
     change = _first_change(motion, pair.chaser[:, 2])
     if change is None:
         return None

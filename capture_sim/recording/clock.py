@@ -114,7 +114,9 @@ def find_clock(
     trial_release = EPOCH_NS if release is None else int(release.stamps[0])
     arrival = begin if release is None else int(release.log_times[0])
     if given_release is not None:
+        found = find_clock(poses, release, begin, is_simulated=is_simulated)
         origin, stamp = Release.GIVEN, _after_first_pose(poses, given_release)
+        trial_release += stamp - found.release  # the launcher's clock counts from the given one too
     elif is_simulated:
         origin, stamp = Release.STAMP, EPOCH_NS
     elif release is not None and poses is not None:

@@ -33,6 +33,7 @@ RULES_OF = {
     "joints_nan": {"no_value"},
     "encoder_in_mm": {"buffer_units"},
     "encoder_inverted": {"buffer_inverted"},
+    "joints_exchanged": {"buffer_against_poses"},
     "encoder_stuck": {"buffer_stuck"},
     "encoder_stuck_in_flight": {"buffer_stuck"},
     "cell_drifts": set(),  # it is slow, and removed
@@ -66,6 +67,15 @@ def test_each_kind_breaks_its_rules_and_no_other(kind, scene, tmp_path):
     assert run.statuses == ()
     waived = run.replaced(waived=[doubt.rule.name for doubt in refused])
     assert not any(doubt.rule.name in waived.waived for doubt in waived.doubts)
+
+
+@pytest.mark.parametrize("name", ["tilt_0", "tilt_m10", "tilt_p10"])
+def test_exchanged_joints_are_recognised(name, tmp_path):
+    scene = capture_sim.load_scene(name)
+    records = dirty.CHANGES["joints_exchanged"](dirty.clean(name))
+    run = read_run(dirty.write(tmp_path, "plain", records), scene=scene)
+    [doubt] = run.doubts
+    assert "stroke and torsion look exchanged" in doubt.text
 
 
 @pytest.mark.parametrize("kind", ["poses_in_mm", "w_first", "no_quaternion", "clocks"])

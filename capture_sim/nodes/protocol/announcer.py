@@ -292,15 +292,15 @@ class Announcer:
     def _missing(self) -> str:
         """Return a log text that names the nodes of ``wait_for`` still missing; empty if none."""
         free = self._roll.free(self._source)
-        others = [
-            name
+        missing = {
+            name: count - sum(part.is_called(name) for part in free)
             for name, count in self._wait_for.items()
-            if sum(part.is_called(name) for part in free) < count
-        ]
-        return _listed("to start", [name for name in others if not self._is_reading(name)])
+        }
+        others = [name for name, n in missing.items() if n > 0 and not self._are_reading(name, n)]
+        return _listed("to start", others)
 
-    def _is_reading(self, name: str) -> bool:
-        """Return True if a node of this name that is not on bench/roll is ready to read.
+    def _are_reading(self, name: str, needed: int) -> bool:
+        """Return True if ``needed`` nodes of a name that are not on bench/roll are ready to read.
 
         It must subscribe to a topic of this node, and all subscriptions to these topics must be
         matched.  No subscription may have changed for :data:`DISCOVERY_TIME`, or for
@@ -308,14 +308,14 @@ class Announcer:
         """
         if any(_is_named(node, name) for node in self._node.nodes_that_publish(ROLL)):
             return False
-        count, matched = 0, True
+        count, nodes, matched = 0, 0, True
         for topic in self._node.topic_publishers.topics:
             if topic in (ROLL, RUN_INFO, STREAM_COUNTS):
                 continue
             readers = self._node.topic_publishers.readers(topic)
             own = sum(_is_named(reader, name) for reader in readers)
             if own:
-                count += own
+                count, nodes = count + own, max(nodes, own)
                 matched = matched and self._node.topic_publishers.matched(topic) >= len(readers)
         now = time.monotonic()
         if self._subscriptions.get(name) != count:
@@ -324,7 +324,7 @@ class Announcer:
             self._subscriptions[name], self._changed = count, now
         is_role = name.rpartition("/")[2] in (LAUNCHER, CAPTURE_DETECTOR, RECORDER)
         settled = self._changed + (STARTING_TIME if is_role else DISCOVERY_TIME)
-        return count > 0 and matched and now > settled
+        return nodes >= needed and matched and now > settled
 
     def _warn_of_best_effort(self, name: str) -> None:
         for topic in self._node.topic_publishers.topics:

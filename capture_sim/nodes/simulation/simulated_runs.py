@@ -164,7 +164,11 @@ class SimulatedRuns:
         if telemetry is not None:
             self._end_run(telemetry, failure or ("" if cut is None else cut.value), extremes)
             failure = failure or self._await_participants(scene.name)
+        # also a request that came after the last sample
         cut = cut or self._control.cut_kind
+        if cut is CutKind.ABORTED and not failure:
+            failure = "aborted after its last sample"
+            self._node.get_logger().error(f"{scene.name}: {failure}")
         self._control.end()
         return RunOutcome(failure, cut)
 
@@ -188,7 +192,11 @@ class SimulatedRuns:
         self._launcher.begin(run_id, scene)
         telemetry = BenchTelemetry(self._node.messages, scene, description)
         self._model.begin(scene)
-        self._announcer.announce(description, telemetry.begin().data)
+        try:
+            self._announcer.announce(description, telemetry.begin().data)
+        except CaptureSimError:
+            self._announcer.close()  # nodes that have heard it would wait for its end
+            raise
         return telemetry, LAUNCHER in taking_part.roles
 
     def _simulate(self, bench: Bench, telemetry: BenchTelemetry) -> str:
