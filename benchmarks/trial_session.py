@@ -2,16 +2,20 @@
 
     python -m benchmarks.trial_session [--trials 30] [--seed 1]
 
-Faults: sensors that die or stop in flight, clocks that differ or step, a node that is killed, a
-second launcher, another publisher of launcher/hold, a client that cancels.  The bench of
-examples/disturbed_rig.py knows how each trial really ended.  Prints a line a trial, and how many
-moved unasked, had a wrong verdict without a named problem, or were unrecorded without a word.
+Faults: bodies that move before the release or jump in flight, sensors that die or stop in flight,
+clocks that differ or step, a node that is killed or stands still, a second launcher, another
+publisher of launcher/hold, a client that cancels.  The bench of examples/disturbed_rig.py knows how
+each trial really ended.  Prints a line a trial, and how many moved unasked, were let go while a
+body moved, had a wrong verdict without a named problem, another verdict on the topic than in the
+result, or were unrecorded or incomplete without a word.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import random
+import signal
 import sys
 import tempfile
 import time
@@ -39,7 +43,38 @@ BENCHES = {
     "cameras die": {"camera_end": 1.5},
     "encoders' clock": {"encoder_offset": 0.8},
 }
-IN_FLIGHT = ("kill recorder", "kill capture_detector", "second launcher", "foreign hold", "cancel")
+#: Motions of chaser or target before the release: amplitude, m, and frequency, Hz.
+SWINGS = ((0.004, 1.0), (0.008, 2.0), (0.02, 0.5), (0.03, 1.0), (0.05, 0.2))
+MOVES = ("chaser swings", "target swings", "origin jumps")
+IN_FLIGHT = (
+    "stand recorder",
+    "stand capture_detector",
+    "kill recorder",
+    "kill capture_detector",
+    "second launcher",
+    "foreign hold",
+    "cancel",
+)
+
+
+def moving(chaser, fault: str, swing: tuple[float, float]):
+    """Let the poses of a bench's chaser have a motion, by a class of its own."""
+    amplitude, frequency = swing
+
+    class Moving(type(chaser)):
+        @property
+        def poses(self):
+            (x, y, yaw), (u, v, w) = super().poses
+            wave = amplitude * math.sin(2.0 * math.pi * frequency * self.t)
+            if fault == "chaser swings" and self.released is None:
+                x += wave
+            elif fault == "target swings" and self.released is None:
+                v += wave
+            elif fault == "origin jumps" and self.released is not None and self.going > 1.0:
+                x += 0.3
+            return (x, y, yaw), (u, v, w)
+
+    chaser.__class__ = Moving
 
 
 def await_phase(goal: Goal, phase: int) -> None:
@@ -50,20 +85,27 @@ def await_phase(goal: Goal, phase: int) -> None:
 
 def one(start, client, session: Session, source: random.Random) -> tuple[str, str, str]:
     """Run a trial with a random fault; return the fault, the outcome, and what was wrong."""
-    fault = source.choice([*BENCHES, *IN_FLIGHT])
+    fault = source.choice([*BENCHES, *MOVES, *IN_FLIGHT])
     outcome = source.choice(["captured", "rebound", "missed"])
-    parameters = {"loss": 0.0, "pace": 2.0, "rate": 50.0, "outcomes": f"[{outcome}]"}
+    parameters = {"loss": 0.0, "pace": 1.0, "rate": 50.0, "outcomes": f"[{outcome}]"}
     parameters |= BENCHES.get(fault, {"preset": "clean", "loss": 0.0})
     wrong, released = [], session.let_go
     with session.bench(**parameters) as bench:
         session.wait(1.0)
         if session.let_go != released or bench.chaser.released is not None:
             wrong.append("MOVED UNASKED")
+        if fault in MOVES:
+            moving(bench.chaser, fault, source.choice(SWINGS))
+        del session.verdicts[:]
         goal, extra = Goal(session.actions, name=fault), None
         if fault in IN_FLIGHT:
             await_phase(goal, 1)
             time.sleep(source.uniform(0.0, 1.5))
             match fault.split():
+                case ["stand", role]:
+                    session.send_signal(role, signal.SIGSTOP)
+                    time.sleep(2.0)
+                    session.send_signal(role, signal.SIGCONT)
                 case ["kill", role]:
                     session.kill(role)
                 case ["second", _]:
@@ -79,6 +121,14 @@ def one(start, client, session: Session, source: random.Random) -> tuple[str, st
             wrong.append(f"WRONG VERDICT {result.verdict}, not {outcome}")
         if result.verdict and not result.recording and not result.problems:
             wrong.append("UNRECORDED WITHOUT A WORD")
+        if fault in MOVES[:2] and session.let_go != released:
+            wrong.append("LET GO WHILE A BODY MOVED")
+        topic = next((label for label, is_final in session.verdicts[::-1] if is_final), "")
+        is_reported = result.verdict and "capture_detector" not in fault
+        if is_reported and topic != result.verdict:
+            wrong.append(f"TOPIC {topic}")
+        if fault == "stand recorder" and result.complete:
+            wrong.append("COMPLETE WITH GAPS")
         if result.complete and result.problems:
             wrong.append("COMPLETE WITH PROBLEMS")
         session.wait(3.0)

@@ -10,13 +10,16 @@ import sys
 import textwrap
 import warnings
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from importlib import import_module
 from itertools import takewhile
+from pathlib import Path
 from typing import Any, NoReturn
 
 import capture_sim
 from capture_sim.base.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK
+from capture_sim.base.outputs import check_replaceable, guarded_outputs
 from capture_sim.base.version import __version__
 from capture_sim.commands import COMMANDS, GROUPS
 from capture_sim.errors import explain_import_error, one_line
@@ -67,6 +70,10 @@ def command_parser(name: str) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     command.add_arguments(parser)
+    known = {option for action in parser._actions for option in action.option_strings}
+    if "--out" in known and "--overwrite" not in known:
+        text = "replace files that capture-sim has not written, except the inputs"
+        parser.add_argument("--overwrite", action="store_true", help=text)
     parser.set_defaults(run=command.run, fails=getattr(command, "FAILS", ""))
     return parser
 
@@ -99,6 +106,8 @@ def _open_closed_streams() -> None:
 
 def _run(arguments: Sequence[str]) -> int:
     if arguments and arguments[0] in COMMANDS:
+        from capture_sim.base.interrupts import terminated_as_interrupted  # not for --help
+
         parser = command_parser(arguments[0])
         for argument in takewhile(lambda text: text != "--", arguments):
             option, equals, value = argument.partition("=")
@@ -109,7 +118,11 @@ def _run(arguments: Sequence[str]) -> int:
         is_intermixed = parser.get_default("intermixed")
         parse = parser.parse_intermixed_args if is_intermixed else parser.parse_args
         options = parse(arguments[1:])
-        return int(options.run(options))
+        overwrites = getattr(options, "overwrite", False)
+        with terminated_as_interrupted(), guarded_outputs(_inputs(options), overwrites=overwrites):
+            if isinstance(out := getattr(options, "out", None), (str, Path)):
+                check_replaceable(Path(out))  # before it is worked for
+            return int(options.run(options))
     parser = _Parser(
         prog="capture-sim",
         usage="capture-sim [-h] [--version] COMMAND ...",
@@ -127,6 +140,20 @@ def _run(arguments: Sequence[str]) -> int:
         parser.error(f"{first!r}: not a command or option{_hint(first, known)}")
     parser.parse_args(arguments)
     return OK
+
+
+def _inputs(options: argparse.Namespace) -> list[Path]:
+    """Return the files that the arguments name, except the output."""
+    texts: list[object] = []
+    for name, value in vars(options).items():
+        if name not in ("out", "c"):
+            texts += value if isinstance(value, list) else [value]
+    paths = []
+    for text in texts:
+        with suppress(OSError, ValueError):  # a text that is no path
+            if isinstance(text, (str, Path)) and str(text) and Path(text).is_file():
+                paths.append(Path(text))
+    return paths
 
 
 def _hint(word: str, known: Iterable[str]) -> str:

@@ -11,12 +11,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from capture_sim.base.outputs import check_replaceable
 from capture_sim.errors import RecordingError
 
 #: Largest length of a file name's stem, bytes; file systems accept 255 bytes for a name.  The
 #: rest is for a number, a suffix and the mark of an unfinished file.
 NAME_BYTES = 180
 
+#: Temporary files of this process that are being written.
+_parts: set[Path] = set()
 _UNSAFE = re.compile(r"[^\w.+=,@-]+")
 
 
@@ -62,17 +65,21 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
     device (``/dev/stdout``) is yielded itself and written to directly.
 
     FileExistsError is raised if ``replace`` is False and ``path`` exists.  RecordingError is raised
-    if the file cannot be written.  An error about another file, such as one that the block reads,
+    if the file cannot be written, or if a command must not replace the one that has the name, see
+    :mod:`capture_sim.base.outputs`.  An error about another file, such as one that the block reads,
     is raised unchanged.
     """
     part = path.with_name(f".{path.stem[:NAME_BYTES]}.part-{secrets.token_hex(4)}{path.suffix}")
+    _parts.add(part)
     try:
         if is_device(path):
             yield path
             return
         path.parent.mkdir(parents=True, exist_ok=True)
+        check_replaceable(path)
         yield part
         if replace:
+            check_replaceable(path, part)
             part.replace(path)
         else:
             _link_new(part, path)
@@ -83,6 +90,14 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
             raise  # another file, e.g. one that is read
         raise RecordingError(f"{path}: cannot write: {error.strerror or error}") from None
     finally:
+        _parts.discard(part)
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def discard_parts() -> None:
+    """Remove the files of this process that are not complete, before it ends without cleaning."""
+    for part in list(_parts):
         with suppress(OSError):
             part.unlink(missing_ok=True)
 

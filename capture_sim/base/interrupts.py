@@ -10,6 +10,7 @@ In a node, Ctrl-C sets the event :data:`STOP`; the main thread checks it whereve
 from __future__ import annotations
 
 import ctypes
+import multiprocessing
 import os
 import shutil
 import signal
@@ -65,19 +66,25 @@ def watch_signals(
 
 @contextmanager
 def terminated_as_interrupted() -> Iterator[None]:
-    """Raise KeyboardInterrupt on SIGTERM while in the context, as on Ctrl-C.
+    """Raise KeyboardInterrupt on SIGTERM and SIGHUP while in the context, as on Ctrl-C.
 
-    Batch queues send SIGTERM to end a job.  Outside the main thread, where Python does not allow
-    handlers, nothing is done.
+    Batch queues send SIGTERM to end a job, a terminal that is closed SIGHUP.  A signal that is
+    ignored, as by nohup, stays so.  Outside the main thread, where Python does not allow handlers,
+    nothing is done.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    earlier = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    earlier = {
+        signum: signal.signal(signum, signal.default_int_handler)
+        for signum in (signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(signum) is signal.SIG_DFL
+    }
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, earlier)
+        for signum, handler in earlier.items():
+            signal.signal(signum, handler)
 
 
 def tied(command: Sequence[str]) -> list[str]:
@@ -88,6 +95,22 @@ def tied(command: Sequence[str]) -> list[str]:
     """
     keeper = shutil.which("setpriv")
     return [*((keeper, "--pdeathsig", "TERM") if keeper else ()), *command]
+
+
+def end_with_parent(clean_up: Callable[[], None] = lambda: None) -> None:
+    """End this process, a worker, as soon as the process that has started it ends or is killed.
+
+    ``clean_up`` is called before.
+    """
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        parent.join()
+        clean_up()
+        os._exit(1)
+
+    threading.Thread(target=wait, name="parent", daemon=True).start()
 
 
 def wait_for(event: threading.Event) -> None:

@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 
 from capture_sim.base.exit_status import FAILED, INTERRUPTED, OK
-from capture_sim.base.interrupts import terminated_as_interrupted
 from capture_sim.base.tables import print_table, table_text
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
@@ -142,7 +141,7 @@ def run(options: argparse.Namespace) -> int:
     weighed = _weighed(runs[0].scene, options.weighed)
     prepare_folder(options.out)
     compile_first()
-    with terminated_as_interrupted(), Progress("simulations") as progress:
+    with Progress("simulations") as progress:
         found = calibrate(
             runs,
             names,

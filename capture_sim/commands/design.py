@@ -14,7 +14,6 @@ from typing import Any, Self
 from rich.console import Console
 
 from capture_sim.base.exit_status import FAILED, INTERRUPTED, OK
-from capture_sim.base.interrupts import terminated_as_interrupted
 from capture_sim.base.journal import Journal, read_journal
 from capture_sim.base.software import software_versions
 from capture_sim.commands.compiling import compile_first
@@ -310,7 +309,6 @@ def _design(
     costs: tuple[LimitCost, ...] = ()
     budget = options.candidates or default_candidates(requirements)
     with (
-        terminated_as_interrupted(),
         open_executor(options.workers, options.scheduler) as executor,
         Progress("buffers") as progress,
     ):

@@ -14,7 +14,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -23,13 +23,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from rich.console import Console
 
-from capture_sim.base.files import whole_file
-from capture_sim.errors import one_line
+from capture_sim.base.files import discard_parts, whole_file
+from capture_sim.base.interrupts import end_with_parent
+from capture_sim.errors import CaptureSimError, one_line
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
     from capture_sim.run.run import Run
+
+
+class DrawingError(CaptureSimError):
+    """Raised if a process that draws files was lost."""
+
 
 #: Plot of several runs side by side.
 OVERVIEW = "overview.png"
@@ -191,17 +197,20 @@ def draw(
     jobs.append(_Job("rerun file in", _save_rrd, (together[0], path, together[1], window)))
     # forked, so that each process shares what is loaded and loads what only its job needs
     fork = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(
-        min(len(jobs), os.cpu_count() or 1),
-        mp_context=fork,
-        initializer=_begin_drawing,
-    ) as pool:
-        # the file for rerun first, as it takes longest to begin
-        drawn = [pool.submit(job.draw, *job.arguments) for job in reversed(jobs)][::-1]
-        for job, file in zip(jobs, drawn, strict=True):
-            # a system's ROS has no rerun: the recording matters there
-            with drawing("no rerun file: {error}; install it and run capture-sim view"):
-                echo(f"{job.title} {file.result()}")
+    n_processes = min(len(jobs), len(os.sched_getaffinity(0)))
+    try:
+        with ProcessPoolExecutor(n_processes, fork, _begin_drawing) as pool:
+            # the file for rerun first, as it takes longest to begin
+            drawn = [pool.submit(job.draw, *job.arguments) for job in reversed(jobs)][::-1]
+            for job, file in zip(jobs, drawn, strict=True):
+                # a system's ROS has no rerun: the recording matters there
+                with drawing("no rerun file: {error}; install it and run capture-sim view"):
+                    echo(f"{job.title} {file.result()}")
+    except (BrokenExecutor, MemoryError):
+        raise DrawingError(
+            "a process that draws was lost: killed, or there is too little memory; "
+            f"{IMAGES_MISSING}"
+        ) from None
 
 
 def _begin_drawing() -> None:
@@ -213,6 +222,9 @@ def _begin_drawing() -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.freeze()
+    for signum in (signal.SIGTERM, signal.SIGHUP):  # they go to the parent, too
+        signal.signal(signum, signal.SIG_IGN)
+    end_with_parent(discard_parts)
 
 
 class _Job(NamedTuple):

@@ -15,7 +15,6 @@ import numpy as np
 
 from capture_sim.base.exit_status import FAILED as FAILED_STATUS
 from capture_sim.base.exit_status import INTERRUPTED, OK
-from capture_sim.base.interrupts import terminated_as_interrupted
 from capture_sim.base.journal import Journal
 from capture_sim.base.software import software_versions
 from capture_sim.base.tables import print_table
@@ -210,7 +209,6 @@ def _sweep(
     """
     compile_first()
     with (
-        terminated_as_interrupted(),
         open_executor(options.workers, options.scheduler) as executor,
         Progress() as progress,
     ):

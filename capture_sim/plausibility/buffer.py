@@ -167,10 +167,10 @@ def buffer_inverted(motion: MeasuredMotion) -> Iterator[Said]:
     "buffer_against_poses",
     Grade.REFUSED,
     compares="as buffer_stuck",
-    threshold="ratio above 5, or out of 0.15 to 5 and that of the torsion in 0.4 to 2; or inside of "
-    "a wall for another reason",
-    reason="as buffer_stuck; the torsion's is at most 0.15 in size where the joints have their own "
-    "names. Exchanged joints are not found where the first contact hardly changes the speed",
+    threshold="ratio above 5, or out of 0.15 to 5 and that of the torsion in 0.4 to 2; or inside "
+    "of a wall for another reason",
+    reason="as buffer_stuck; the torsion's is at most 0.15 in size where the joints have their "
+    "own names. Exchanged joints are not found where the first contact hardly changes the speed",
     needs_scene=True,
     needs_poses=True,
 )

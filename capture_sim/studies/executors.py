@@ -23,6 +23,7 @@ from types import ModuleType
 from typing import Any
 from urllib.parse import urlsplit
 
+from capture_sim.base.interrupts import end_with_parent
 from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.errors import CaptureSimError, import_failure
 
@@ -99,14 +100,7 @@ def _interrupts_held() -> Iterator[None]:
 
 
 def _begin_worker() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def end_with_parent() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=end_with_parent, daemon=True).start()
+    end_with_parent()
     compile_kernels()
 
 

@@ -100,6 +100,7 @@ class HoldListener:
 
     def __init__(self) -> None:
         self._let_go = math.nan  # s, latest message that lets go
+        self._asked = math.nan  # s, last call of is_held_again
         self._is_held = False
 
     def note(self, *, is_held: bool, now: float) -> None:
@@ -110,7 +111,15 @@ class HoldListener:
             self._is_held = True
 
     def is_held_again(self, now: float) -> bool:
-        """Return True if the chaser was let go, and is held at ``now``, s, or was before."""
+        """Return True if the chaser was let go, and is held at ``now``, s, or was before.
+
+        Call it with each measurement.  If the calls pause, this node stood still itself, and
+        messages of launcher/hold wait to be read.
+        """
+        pause = now - self._asked
+        if pause > 0.5 * HOLD_TIMEOUT:
+            self._let_go += pause
+        self._asked = now
         self._is_held = self._is_held or now > self._let_go + HOLD_TIMEOUT
         return self._is_held
 

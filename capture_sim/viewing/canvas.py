@@ -18,12 +18,14 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 
 from capture_sim.base.files import whole_file
+from capture_sim.base.version import __version__
 from capture_sim.viewing import style
 
 if TYPE_CHECKING:
     from capture_sim.viewing.shapes import Shape
 
 # the same figure gives the same bytes; letters are drawn, so that they need no font
+_MARK = f"capture_sim {__version__}"
 _SAVING: Any = {"svg.hashsalt": "capture_sim", "svg.fonttype": "path"}
 
 
@@ -172,7 +174,8 @@ def save(figure: Figure, *paths: Path | str) -> Path:
     """
     _skip_contents_in_layout(figure)
     for path in map(Path, paths):
-        metadata = {"Date": None} if path.suffix == ".svg" else None
+        is_svg = path.suffix == ".svg"
+        metadata = {"Date": None, "Creator": _MARK} if is_svg else {"Software": _MARK}
         with whole_file(path) as part, mpl.rc_context(_SAVING):
             figure.savefig(part, dpi=style.DPI, metadata=metadata)
         figure.set_layout_engine("none")  # arranged by the first

@@ -160,3 +160,38 @@ finally:
     print("numba" in sys.modules, file=sys.stderr)
 """
     assert python(tmp_path, code).stderr.splitlines()[-1] == "False"
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc", ".bc"])
+@pytest.mark.parametrize("damage", ["cut", "changed", "empty", "gone"])
+def test_damaged_files_are_compiled_again_in_a_line(suffix, damage, tmp_path):
+    """A changed pickle may run any code; one that was cut is an error of any kind."""
+    (tmp_path / "mine.py").write_text(MODULE)
+    code = "import mine; print(mine.quarter(8.0))"
+    assert python(tmp_path, code).stdout == "2.0\n"
+    for path in tmp_path.rglob(f"*{suffix}"):
+        data = path.read_bytes()
+        new = {"cut": data[:-20], "empty": b"", "gone": None}
+        new["changed"] = data[:100] + bytes([data[100] ^ 255]) + data[101:]
+        if suffix == ".bc" and damage != "gone":
+            continue  # read only to compile it into another kernel
+        path.unlink()
+        if new[damage] is not None:
+            path.write_bytes(new[damage])
+    for _ in range(2):
+        found = python(tmp_path, code)
+        assert found.stdout == "2.0\n", found.stderr
+        assert found.stderr.count("\n") <= 1
+        assert "Traceback" not in found.stderr
+    assert found.stderr == ""  # it was written again
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o757])
+def test_a_cache_to_which_others_can_write_is_not_used(mode, tmp_path):
+    (tmp_path / "mine.py").write_text(MODULE)
+    (tmp_path / "capture_sim").mkdir()
+    (tmp_path / "capture_sim").chmod(mode)
+    found = python(tmp_path, "import mine; print(mine.quarter(8.0))")
+    assert found.stdout == "2.0\n"
+    assert "others can write to it; compiled kernels go to" in found.stderr
+    assert not any((tmp_path / "capture_sim").iterdir())

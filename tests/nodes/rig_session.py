@@ -200,6 +200,10 @@ class Session:
         self._nodes[role].process.kill()
         self._nodes[role].process.wait()
 
+    def send_signal(self, role, number):
+        """Send a signal to a node."""
+        self._nodes[role].process.send_signal(number)
+
     def restart(self, role):
         """Start a node again with the same parameters."""
         node = self._restart[role]()

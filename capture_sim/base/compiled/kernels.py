@@ -95,10 +95,10 @@ def _constant(value: Any) -> str:
 def cache_folder() -> Path:
     """Return the folder of all compiled kernels of this checkout and Numba; create it if missing.
 
-    It is in the folder ``CAPTURE_SIM_CACHE``, else ``XDG_CACHE_HOME``, else ``~/.cache``.  If it
-    cannot be written there, it is in the system's folder for temporary files, and a line on stderr
-    reports this.  Compiled kernels are pickles, and loading one may run any code.  All users share
-    the folder for temporary files, so only this user may be able to write to the kernels' folder.
+    It is in the folder ``CAPTURE_SIM_CACHE``, else ``XDG_CACHE_HOME``, else ``~/.cache``.  Compiled
+    kernels are pickles, and loading one may run any code.  Therefore the folder must belong to this
+    user or root, and nobody else may be able to write to it.  If it cannot be used, the kernels are
+    in the system's folder for temporary files, and a line on stderr reports this.
 
     Raises
     ------
@@ -111,11 +111,12 @@ def cache_folder() -> Path:
     name = f"kernels-{compiler_hash()}"
     folder = base / "capture_sim" / name
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if os.access(folder, os.W_OK):
-            return folder
-    except OSError:
-        pass
+        base.mkdir(parents=True, exist_ok=True)
+        reason = _make_own(folder.parent) or _make_own(folder)
+    except OSError as error:
+        reason = f"cannot be written to: {error.strerror}"
+    if not reason:
+        return folder
     own = Path(tempfile.gettempdir()) / f"capture_sim-{os.getuid()}"
     with contextlib.suppress(FileExistsError):
         own.mkdir(mode=0o700)
@@ -127,11 +128,25 @@ def cache_folder() -> Path:
         )
     fallback = own / name
     print(
-        f"capture-sim: {base} cannot be written to; compiled kernels go to {fallback}",
+        f"capture-sim: {folder.parent}: {reason}; compiled kernels go to {fallback}",
         file=sys.stderr,
     )
     fallback.mkdir(parents=True, exist_ok=True)
     return fallback
+
+
+def _make_own(folder: Path) -> str:
+    """Create a folder of this user; return why it cannot be used, or an empty text if it can."""
+    with contextlib.suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    found = folder.stat()
+    if found.st_uid not in (os.getuid(), 0):
+        return f"belongs to user {found.st_uid}"
+    if found.st_mode & 0o022:
+        if found.st_uid != os.getuid() or found.st_mode & 0o002:
+            return "others can write to it"
+        folder.chmod(found.st_mode & 0o755)  # of a umask that lets the group write
+    return "" if os.access(folder, os.W_OK) else "cannot be written to"
 
 
 class Kernel:

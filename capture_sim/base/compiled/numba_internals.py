@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import math
+import pickle
 import sys
 import tempfile
 from collections.abc import Callable
@@ -18,11 +19,17 @@ from typing import Any
 
 import llvmlite.binding as llvm
 import numba
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.compiler import Compiler
 from numba.core.registry import cpu_target
 
 from capture_sim.base.files import whole_file
+from capture_sim.errors import RecordingError
+
+#: Length of a checksum, bytes.
+_CHECKSUM = hashlib.sha256().digest_size
+#: True once compiled code could not be written, which is said once.
+_has_failed = False
 
 
 def _load_without_blas() -> None:
@@ -102,15 +109,53 @@ def _machine_code(library: Any) -> tuple[str, str, tuple[bytes, bytes]]:
     )
 
 
+class _CheckedFile(IndexDataCacheFile):
+    """Numba's files of compiled code, which are not used if they are damaged.
+
+    The code is a pickle, and is read only if it has the checksum with which it was written.
+    """
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except OSError:
+            raise
+        except Exception as error:  # of a pickle that was cut, any
+            return self._damaged(self._index_path, error) or {}
+
+    def _load_data(self, name: str) -> Any:
+        path = Path(self._data_path(name))
+        data = path.read_bytes()
+        if hashlib.sha256(data[_CHECKSUM:]).digest() != data[:_CHECKSUM]:
+            return self._damaged(path, "wrong checksum")
+        return pickle.loads(data[_CHECKSUM:])
+
+    def _save_data(self, name: str, data: Any) -> None:
+        dumped = self._dump(data)
+        with self._open_for_write(self._data_path(name)) as file:
+            file.write(hashlib.sha256(dumped).digest() + dumped)
+
+    def _damaged(self, path: Any, why: object) -> None:
+        print(f"capture-sim: {path}: damaged ({why}): compiled again", file=sys.stderr)
+
+
 class _Cache(FunctionCache):
     """Numba's cache on disk, without loading the compiler's support of Python and NumPy.
 
-    Numba loads that first, which would add 0.3 s to every start.
+    Numba loads that first, which would add 0.3 s to every start.  What cannot be read or written is
+    compiled in memory, and a line on stderr reports this.
     """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        kept = self._cache_file
+        kept.__class__ = _CheckedFile
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled code for a signature; None if there is none."""
         found = self._load_overload(sig, target_context)
+        if found is not None and not self._text_file(found).is_file():
+            return None
         if found is not None:
             library = found.library
             library._shared_module = None
@@ -120,9 +165,19 @@ class _Cache(FunctionCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         """Save the compiled code, and the text of its LLVM code in a separate file."""
         text = data.library._get_module_for_linking().as_bitcode()
-        with whole_file(self._text_file(data)) as path:
-            path.write_bytes(text)
-        super().save_overload(sig, data)
+        try:
+            with whole_file(self._text_file(data)) as path:
+                path.write_bytes(text)
+            super().save_overload(sig, data)
+        except (OSError, RecordingError) as error:
+            global _has_failed
+            if not _has_failed:
+                _has_failed = True
+                where = "" if str(self._cache_path) in str(error) else f"{self._cache_path}: "
+                print(
+                    f"capture-sim: {where}{error}: kernels are compiled again in each process",
+                    file=sys.stderr,
+                )
 
     def _text_file(self, compiled: Any) -> Path:
         """Return the file with LLVM's text of a function."""
