@@ -130,7 +130,7 @@ def test_nothing_of_a_sourced_ros_gets_in(setup_env, monkeypatch):
 
 def test_every_requirement_is_pinned(setup_env):
     pins = (ROOT / "requirements" / "lock.txt").read_text().lower()
-    pinned = set(re.findall(r"^([\w.-]+)==[\w.]+$", pins, re.MULTILINE))
+    pinned = set(re.findall(r"^([\w.-]+)==[\w.]+(?: \\)?$", pins, re.MULTILINE))
     with (ROOT / "pyproject.toml").open("rb") as file:
         project = tomllib.load(file)["project"]
     wanted = setup_env.requirements(project, (*setup_env.RUN_EXTRAS, *setup_env.DEVELOP_EXTRAS))

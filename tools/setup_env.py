@@ -266,20 +266,47 @@ def install_development(progress, wanted):
 
 
 def install(progress, title, packages):
-    """Install packages at the locked versions: by uv, which needs seconds; else by pip."""
+    """Install packages at the locked versions: by uv, which needs seconds; else by pip.
+
+    uv accepts only files with a hash of the lock file; pip checks the versions only.
+    """
     env = clean_environment()
     index = pip_index()
     if index:
         env.setdefault("UV_DEFAULT_INDEX", index)
     # with bytecode: the nodes are many processes, and each would compile it again where
     # Python may not write it
-    uv = [VENV / "bin" / "uv", "pip", "install", "--compile-bytecode", "--python", PYTHON]
+    uv = VENV / "bin" / "uv"
     try:
-        progress.run(title, [*uv, "-c", ROOT / LOCK, *packages], env)
+        wanted = locked(uv, packages, env)
+        hashed = ["--require-hashes", "-r", wanted, "--compile-bytecode", "--python", PYTHON]
+        progress.run(title, [uv, "pip", "install", *hashed], env)
     except (SetupError, OSError) as error:
         print(f"  {error}; trying pip")
         pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install"]
         progress.run(title, [*pip, "-c", ROOT / LOCK, *packages])
+
+
+def locked(uv, packages, env):
+    """Write the part of the lock file, with hashes, that these packages need; return its path.
+
+    SetupError if one of them is not in the lock file, as with another Python.
+    """
+    resolve = [uv, "pip", "compile", "-q", "--no-annotate", "--no-header", "--no-emit-index-url"]
+    resolve += ["--python", PYTHON, "-c", ROOT / LOCK, "-"]
+    text = "\n".join(packages)
+    found = subprocess.run(resolve, input=text, env=env, capture_output=True, text=True)
+    if found.returncode:
+        raise SetupError(f"uv: {found.stderr.strip().splitlines()[-1:]}")
+    entries = re.split(r"^(?=[\w.-]+==)", (ROOT / LOCK).read_text(encoding="utf-8"), flags=re.M)
+    by_name = {entry.partition(" ")[0]: entry for entry in entries}
+    names = [line.partition(" ")[0] for line in found.stdout.splitlines() if "==" in line]
+    if missing := [name for name in names if name not in by_name]:
+        raise SetupError(f"not in {LOCK}: {', '.join(missing)}")
+    path = ROOT / "build" / "requirements.txt"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("".join(by_name[name] for name in names), encoding="utf-8")
+    return path
 
 
 def pip_index():

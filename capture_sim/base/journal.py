@@ -44,6 +44,7 @@ class Journal:
         same names with the same values; a name without a value is the same as None.
     resume
         True: continue the study in the file; the attribute ``entries`` has its entries so far.
+        Without a file, a new study begins, so that a job that is queued again does what is left.
         False: begin a new study.  An earlier file with entries is renamed to ``<name>.before``,
         which replaces any older file of this name; the attribute ``replaced`` is that path if the
         earlier study was unfinished, else None.
@@ -51,15 +52,13 @@ class Journal:
     Raises
     ------
     JournalError
-        Another process works on this study, the file cannot be written, or, with ``resume``, there
-        is no file or it is of another study.
+        Another process works on this study, the file cannot be written, or, with ``resume``, it is
+        of another study.
     """
 
     def __init__(self, path: Path, head: Mapping[str, Any], *, resume: bool = False) -> None:
         self.path, self.entries = path, list[Any]()
         self.replaced: Path | None = None
-        if resume and not path.exists():
-            raise JournalError(f"--resume: {path}: there is no unfinished study")
         head = json.loads(_line(head))
         try:
             path.parent.mkdir(parents=True, exist_ok=True)

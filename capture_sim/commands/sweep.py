@@ -33,7 +33,7 @@ from capture_sim.commands.inputs import (
 )
 from capture_sim.commands.output import Progress, drawing, echo, warn
 from capture_sim.errors import SceneError
-from capture_sim.recording.sweep_file import check_format, read_cases, write_sweep
+from capture_sim.recording.sweep_file import check_format, is_complete, read_cases, write_sweep
 from capture_sim.run.loads import LOADS, implausible_stroke, plausible_stroke
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.axes import FAMILIAR
@@ -173,8 +173,30 @@ def run(options: argparse.Namespace) -> int:
     prepare_folder(options.out.parent)
     if scene.sensors is not None and scene.sensors.motion_capture is not None:
         warn("verdicts are of the exact motion: sensors.motion_capture is not simulated")
+    is_left = _journal_path(options).exists()
+    if options.resume and not is_left and is_complete(options.out, _about(scene, samples, options)):
+        echo(f"complete: {len(samples.rows)} runs, table in {options.out}")
+        return OK
     with _journal(scene, samples, options) as journal:
         return _sweep(scene, samples, limits, options, journal)
+
+
+def _about(scene: Scene, samples: Samples, options: argparse.Namespace) -> dict[str, Any]:
+    """Return what made the table, see :func:`write_sweep`."""
+    about = {"scene": scene.to_yaml(), "vary": options.vary, "seed": options.seed}
+    about |= {"sample": options.sample, "runs": len(samples.rows), "limits": options.limits}
+    about |= {"correlate": options.correlate, "check": options.check}
+    return about | {"rows": _hash(samples)}
+
+
+def _hash(samples: Samples) -> str:
+    """Return a hash of the varied values of all runs."""
+    names = [axis.name for axis in samples.axes]
+    return hashlib.sha256(repr([names, samples.rows, samples.designs]).encode()).hexdigest()
+
+
+def _journal_path(options: argparse.Namespace) -> Path:
+    return Path(options.out.with_name(f"{options.out.name}.journal"))
 
 
 def _journal(scene: Scene, samples: Samples, options: argparse.Namespace) -> Journal:
@@ -182,12 +204,9 @@ def _journal(scene: Scene, samples: Samples, options: argparse.Namespace) -> Jou
 
     With ``--resume``, the journal also has the runs of the interrupted sweep.
     """
-    names = [axis.name for axis in samples.axes]
-    rows = hashlib.sha256(repr([names, samples.rows, samples.designs]).encode()).hexdigest()
     head = {"study": "sweep", "software": list(software_versions()), "scene": scene.to_yaml()}
-    head |= {"vary": rows, "limits": sorted(options.limits), "check": options.check}
-    path = options.out.with_name(f"{options.out.name}.journal")
-    journal = Journal(path, head, resume=options.resume)
+    head |= {"vary": _hash(samples), "limits": sorted(options.limits), "check": options.check}
+    journal = Journal(_journal_path(options), head, resume=options.resume)
     if journal.replaced is not None:
         warn(f"the unfinished sweep of before is now {journal.replaced}; --resume continues one")
     if options.resume:
@@ -228,9 +247,7 @@ def _sweep(
     if table.empty:
         warn(f"interrupted: 0 of {len(samples.rows)} runs are done; nothing is written")
         return INTERRUPTED
-    about = {"scene": scene.to_yaml(), "vary": options.vary, "seed": options.seed}
-    about |= {"sample": options.sample, "runs": len(samples.rows), "limits": options.limits}
-    about |= {"correlate": options.correlate}
+    about = _about(scene, samples, options)
     table["command"] = _commands(scene, samples, options)[: len(table)]
     table.attrs["units"]["command"] = ""
     echo(

@@ -64,6 +64,24 @@ def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -
     return path
 
 
+def is_complete(path: Path, about: Mapping[str, Any]) -> bool:
+    """Return True if a table was written with the same ``about``, see :func:`write_sweep`."""
+    try:
+        if path.suffix == ".parquet":
+            metadata = arrow()[1].read_schema(path).metadata
+            made_by = json.loads(metadata[b"PANDAS_ATTRS"])["made_by"]
+        else:
+            text = path.with_name(f"{path.stem}_made_by.json").read_text(encoding="utf-8")
+            made_by = json.loads(text)
+        wanted = {**about, "scene_text": about["scene"], "software": list(software_versions())}
+        del wanted["scene"]
+        return path.is_file() and json.loads(json.dumps(wanted)) == {
+            name: made_by.get(name) for name in wanted
+        }
+    except (OSError, ValueError, AttributeError, LookupError, TypeError):
+        return False
+
+
 def head_of(name: str, unit: str) -> str:
     """Return the head of a column in a CSV: its name, and its unit in brackets if it has one."""
     return f"{name} [{unit}]" if unit else name

@@ -121,13 +121,15 @@ class _CheckedFile(IndexDataCacheFile):
         except OSError:
             raise
         except Exception as error:  # of a pickle that was cut, any
-            return self._damaged(self._index_path, error) or {}
+            _report_damage(Path(self._index_path), error)
+            return {}
 
     def _load_data(self, name: str) -> Any:
         path = Path(self._data_path(name))
         data = path.read_bytes()
         if hashlib.sha256(data[_CHECKSUM:]).digest() != data[:_CHECKSUM]:
-            return self._damaged(path, "wrong checksum")
+            _report_damage(path, "wrong checksum")
+            return None
         return pickle.loads(data[_CHECKSUM:])
 
     def _save_data(self, name: str, data: Any) -> None:
@@ -135,8 +137,11 @@ class _CheckedFile(IndexDataCacheFile):
         with self._open_for_write(self._data_path(name)) as file:
             file.write(hashlib.sha256(dumped).digest() + dumped)
 
-    def _damaged(self, path: Any, why: object) -> None:
-        print(f"capture-sim: {path}: damaged ({why}): compiled again", file=sys.stderr)
+
+def _report_damage(path: Path, why: object) -> None:
+    """Report a damaged file of the cache in a line, and remove it."""
+    print(f"capture-sim: {path}: damaged ({why}): compiled again", file=sys.stderr)
+    path.unlink(missing_ok=True)
 
 
 class _Cache(FunctionCache):
