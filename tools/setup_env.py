@@ -255,7 +255,7 @@ def install_requirements(progress, wanted):
     """Install what a run needs, and make the wheels of ROS one underlay that CMake can use."""
     pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install", "--no-compile"]
     with contextlib.suppress(SetupError):
-        progress.run("Installer", [*pip, "-c", ROOT / LOCK, "uv"])
+        progress.run("Installer", [*pip, "--require-hashes", "-r", locked_file(["uv"])])
     install(progress, "Packages", wanted["packages"])
     progress.run("ROS libraries", [PYTHON, ROOT / "tools" / "finish_venv.py"])
 
@@ -284,7 +284,10 @@ def install(progress, title, packages):
     except (SetupError, OSError) as error:
         print(f"  {error}; trying pip")
         pip = [PYTHON, "-m", "pip", "--disable-pip-version-check", "install"]
-        progress.run(title, [*pip, "-c", ROOT / LOCK, *packages])
+        pins = ROOT / "build" / "pins.txt"  # pip takes no hashes of what it is not told to install
+        pins.parent.mkdir(exist_ok=True)
+        pins.write_text("".join(f"{head.split()[0]}\n" for head in lock_entries()))
+        progress.run(title, [*pip, "-c", pins, *packages])
 
 
 def locked(uv, packages, env):
@@ -298,15 +301,28 @@ def locked(uv, packages, env):
     found = subprocess.run(resolve, input=text, env=env, capture_output=True, text=True)
     if found.returncode:
         raise SetupError(f"uv: {found.stderr.strip().splitlines()[-1:]}")
-    entries = re.split(r"^(?=[\w.-]+==)", (ROOT / LOCK).read_text(encoding="utf-8"), flags=re.M)
-    by_name = {entry.partition(" ")[0]: entry for entry in entries}
-    names = [line.partition(" ")[0] for line in found.stdout.splitlines() if "==" in line]
+    return locked_file(line.partition("==")[0] for line in found.stdout.splitlines())
+
+
+def locked_file(names):
+    """Write the entries of the lock file with these names; return the path.
+
+    SetupError if one is missing.
+    """
+    by_name = {entry.partition("==")[0]: entry for entry in lock_entries()}
+    names = [name for name in names if name and not name.startswith("#")]
     if missing := [name for name in names if name not in by_name]:
         raise SetupError(f"not in {LOCK}: {', '.join(missing)}")
     path = ROOT / "build" / "requirements.txt"
     path.parent.mkdir(exist_ok=True)
     path.write_text("".join(by_name[name] for name in names), encoding="utf-8")
     return path
+
+
+def lock_entries():
+    """Return the entries of the lock file, each with its hashes."""
+    text = (ROOT / LOCK).read_text(encoding="utf-8")
+    return [entry for entry in re.split(r"^(?=[\w.-]+==)", text, flags=re.M) if "==" in entry]
 
 
 def pip_index():
