@@ -274,6 +274,9 @@ def install(progress, title, packages):
     index = pip_index()
     if index:
         env.setdefault("UV_DEFAULT_INDEX", index)
+    if Path("/etc/ssl/certs/ca-certificates.crt").exists():  # as pip: also those of a laboratory
+        env.setdefault("UV_SYSTEM_CERTS", "1")
+        env.setdefault("UV_NATIVE_TLS", "1")  # as older versions of uv call it
     # with bytecode: the nodes are many processes, and each would compile it again where
     # Python may not write it
     uv = VENV / "bin" / "uv"
