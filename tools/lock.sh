@@ -16,7 +16,7 @@ lock() {
   shift 2
   local new=$file.new
   cp "$file" "$new"  # uv keeps what is pinned in the file that it writes
-  .venv/bin/uv pip compile -q --no-annotate --no-header --no-emit-index-url --generate-hashes --python-version 3.11.7 \
+  .venv/bin/uv pip compile -q --no-annotate --no-header --no-emit-index-url --generate-hashes --python-version 3.11.0 \
     "${upgrade[@]}" "$@" -c - -o "$new" pyproject.toml
   { echo "$comment"; cat "$new"; } >"$file"
   rm "$new"
