@@ -107,6 +107,7 @@ lint: develop
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python tools/licences.py
 
 docs: develop
 	$(BIN)/mkdocs build --strict
