@@ -11,6 +11,7 @@ import textwrap
 import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from contextvars import copy_context
 from difflib import get_close_matches
 from importlib import import_module
 from itertools import takewhile
@@ -25,7 +26,7 @@ from capture_sim.commands import COMMANDS, GROUPS
 from capture_sim.errors import explain_import_error, one_line
 
 #: Errors of Python that a wrong file, value or device may cause; reported as bad input.
-_FROM_OUTSIDE = (OSError, ValueError, ArithmeticError, RecursionError, MemoryError)
+_FROM_OUTSIDE = (OSError, ValueError, ArithmeticError, RecursionError)
 #: New objects after which Python looks for garbage.  With its default, 700, it spends 8 % of a
 #: short command on the modules that were just loaded.
 _GARBAGE_THRESHOLD = 100_000
@@ -36,7 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _open_closed_streams()
     gc.set_threshold(_GARBAGE_THRESHOLD)
     try:
-        status = _run(sys.argv[1:] if arguments is None else arguments)
+        # settings of this command end with it
+        status = copy_context().run(_run, sys.argv[1:] if arguments is None else arguments)
         sys.stdout.flush()
         return status
     except SystemExit as leaving:  # argparse, after --help or a bad argument
@@ -195,13 +197,20 @@ class _Parser(argparse.ArgumentParser):
 
 def _failed(error: Exception) -> int:
     """Print an error in one line and return the exit status of the command for this error."""
-    from capture_sim.errors import CaptureSimError, MissingPackageError, SimulationError
+    from capture_sim.errors import (
+        CaptureSimError,
+        MemoryLimitError,
+        MissingPackageError,
+        SimulationError,
+    )
 
     status, text = BAD_INPUT, str(error)
     if isinstance(error, ImportError):
         status, text = FAILED, explain_import_error(error)
-    elif isinstance(error, (SimulationError, MissingPackageError)):
+    elif isinstance(error, (SimulationError, MissingPackageError, MemoryLimitError)):
         status = FAILED
+    elif isinstance(error, MemoryError):
+        status, text = FAILED, "too little memory for this command"
     elif isinstance(error, OSError):
         prefix = f"{error.filename}: " if error.filename else ""
         text = f"{prefix}{error.strerror or error}"

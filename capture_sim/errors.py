@@ -42,6 +42,10 @@ class SimulationError(CaptureSimError):
         return type(self), (*self.args, self.partial)
 
 
+class MemoryLimitError(CaptureSimError):
+    """A recording needs more memory than is permitted."""
+
+
 class RecordingError(CaptureSimError):
     """A recording or another file cannot be written or read, or a recorded run cannot be used."""
 

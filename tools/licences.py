@@ -20,7 +20,7 @@ ALLOWED = {
 NAMED = {
     "moocore": "LGPL: a part of pymoo, imported unchanged and installed by the user",
     "apsw": "any OSI licence, at the user's choice",
-    "docutils": "public domain and BSD, but for one file under the GPL that is not used; tests only",
+    "docutils": "public domain and BSD; one file under the GPL is not used; tests only",
     "graphemeu": "MIT, whose text its metadata have in place of a name",
 }
 _UNKNOWN = "not named in its metadata"

@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from capture_sim.base.files import writing_problem
 from capture_sim.commands.output import echo, warn
@@ -245,6 +245,27 @@ def add_remaps(parser: argparse.ArgumentParser) -> None:
         help="read a topic of the bench from another recorded topic, e.g. "
         "chaser/odom:=/mocap/rb1/odom; may be repeated (default: the recorder's remaps)",
     )
+    parser.add_argument(
+        "--memory",
+        action=_SetMemory,
+        metavar="GIB",
+        help="limit the memory for a recording's messages that are used, GiB (default: 1)",
+    )
+
+
+class _SetMemory(argparse.Action):
+    """Sets the limit of memory for recordings."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option: Any = None) -> None:
+        try:
+            limit = float(values)
+        except ValueError:
+            limit = math.nan
+        if not 0.001 <= limit <= 1e6:
+            raise argparse.ArgumentError(self, f"{values!r}: must be 0.001 to 1e6 GiB")
+        from capture_sim.recording.records import MEMORY_LIMIT
+
+        MEMORY_LIMIT.set(int(limit * 2**30))
 
 
 def add_limits(parser: argparse.ArgumentParser) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import cache, lru_cache
 from pathlib import Path
@@ -29,7 +30,16 @@ _PACKAGE = "capture_sim"
 #: Encodings of definitions in OMG's interface description language.
 _IDL = ("ros2idl", "omgidl")
 #: Errors of a text that defines no message type.
-NO_DEFINITION = (TypesysError, ValueError, KeyError, RecursionError)
+NO_DEFINITION = (
+    *(TypesysError, ValueError, KeyError, RecursionError, NameError, SyntaxError, TypeError),
+    *(OverflowError, MemoryError, AttributeError, IndexError),
+)
+#: Limits of a definition from a file: the largest of ROS 2's packages has 24 kB and 400 lines.
+MAX_DEFINITION, MAX_LINES, MAX_DEPTH, MAX_ARRAY = 262_144, 5_000, 4, 10_000_000
+_COMMENT = re.compile(r"#[^\n]*|//[^\n]*|/\*.*?\*/|\"[^\"\n]*\"|'[^'\n]*'", re.DOTALL)
+_SIZE = re.compile(r"\[\s*(\d{1,40})\s*\]")
+#: A shift, a power, or a number with a large exponent.
+_ODD = re.compile(r"(?:<<|>>(?=\s*\d)|\*\*).*|=\s*[-+\d.]*[eE]\+?\d{4,}.*")
 
 
 @cache
@@ -62,9 +72,39 @@ def store_of(type_name: str, definition: str, encoding: str = "ros2msg") -> Type
         return store
     store = get_typestore(Stores.EMPTY)
     is_idl = encoding in _IDL
+    check_definition(definition, is_idl=is_idl)
     types = get_types_from_idl(definition) if is_idl else get_types_from_msg(definition, type_name)
+    if type_name not in types:
+        # as of rosidl's IDL, whose structures have other names: the package's own type is meant
+        if not is_own and type_name in typestore().fielddefs:
+            return typestore()
+        raise TypesysError(f"does not define {type_name}")
     store.register(types)
     return store
+
+
+def check_definition(text: str, *, is_idl: bool = False) -> None:
+    """Raise TypesysError if a definition from a file is too large, or has what a parser may try.
+
+    Its parser tries each bracket in several ways, and a message of it has each element of an array.
+    """
+    if len(text) > MAX_DEFINITION:
+        raise TypesysError(f"has {len(text)} characters: must be at most {MAX_DEFINITION}")
+    if (count := text.count(";" if is_idl else "\n")) > MAX_LINES:
+        raise TypesysError(f"has {count} lines: must be at most {MAX_LINES}")
+    code = _COMMENT.sub("", text).replace("<=", "")  # of bounded strings and arrays
+    for opening, closing in ("()", "<>", "{}", "[]"):
+        depth = deepest = 0
+        for character in code:
+            depth += (character == opening) - (character == closing)
+            deepest = max(deepest, depth)
+        if deepest > MAX_DEPTH:
+            raise TypesysError(f"has {deepest} {opening} in each other: must be {MAX_DEPTH}")
+    for size in map(int, _SIZE.findall(code)):
+        if size > MAX_ARRAY:
+            raise TypesysError(f"has an array of {size} elements: must be at most {MAX_ARRAY}")
+    if odd := _ODD.search(code):
+        raise TypesysError(f"has {odd[0].strip()[:40]!r}: must be a number or a name")
 
 
 class _OnDemand(dict[str, Any]):

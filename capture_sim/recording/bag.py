@@ -21,6 +21,7 @@ from capture_sim.dynamics.samples import (
 )
 from capture_sim.errors import RecordingError, one_line
 from capture_sim.messages.convert import LaunchAction, RunDescription
+from capture_sim.messages.definitions import NO_DEFINITION, store_of
 from capture_sim.messages.topics import (
     BENCH_EVENT,
     BENCH_STATE,
@@ -104,7 +105,22 @@ def read_bag(
     path = Path(path)
     contents = read_contents(path, ratio)
     remap(path, contents, remaps or {})
+    _leave_out_undefined(contents)
     return Bag(path, contents, release)
+
+
+def _leave_out_undefined(contents: Contents) -> None:
+    """Leave out the topics of the suite whose definition in the file cannot be read."""
+    for name, type_name in list(contents.types.items()):
+        if topic_named(name) is None or not contents.messages.get(name):
+            continue
+        text, encoding = contents.schemas.get(type_name, ""), contents.encodings.get(type_name, "")
+        try:
+            store_of(type_name, text, encoding)
+        except NO_DEFINITION as error:
+            reason = one_line(f"definition of type {type_name!r} cannot be read: {error}")
+            contents.left_out[name] = reason
+            contents.messages[name], contents.log_times[name] = [], []
 
 
 def remap(path: Path, contents: Contents, remaps: Mapping[str, str]) -> None:

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from capture_sim.errors import RecordingError
+from capture_sim.errors import MemoryLimitError, RecordingError
+from capture_sim.messages.topics import HOLD, topic_named
 from capture_sim.recording.bag_folder import bag_files
 from capture_sim.recording.log_times import JUMP, settle
-from capture_sim.recording.records import MAX_UNPACKED_RATIO, Damage, RecordContents
+from capture_sim.recording.records import (
+    MAX_UNPACKED_RATIO,
+    MEMORY_LIMIT,
+    MESSAGE_COST,
+    Damage,
+    RecordContents,
+)
 from capture_sim.recording.scan import scan
 
 #: Encoding of ROS 2 messages.
@@ -29,7 +38,7 @@ class Contents:
     schemas: dict[str, str] = field(default_factory=dict)  # definition text by message type
     encodings: dict[str, str] = field(default_factory=dict)  # ... and its language, e.g. ros2msg
     # serialised messages by topic, in the order of their log times
-    messages: dict[str, list[bytes]] = field(default_factory=dict)
+    messages: dict[str, Sequence[bytes]] = field(default_factory=dict)
     log_times: dict[str, list[int]] = field(default_factory=dict)  # their log times, ns, ascending
     attachments: dict[str, bytes] = field(default_factory=dict)  # by name
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # by name
@@ -44,16 +53,20 @@ class Contents:
 def read_contents(path: Path, ratio: float = MAX_UNPACKED_RATIO) -> Contents:
     """Read a recording, which is a file or a bag's folder, each file up to its first damage.
 
-    A file may unpack to ``ratio`` times its size, and to 64 MiB in any case.  RecordingError if no
-    file can be read.
+    A file may unpack to ``ratio`` times its size, and to 64 MiB in any case.  Messages of topics
+    that the suite does not know, e.g. of cameras, are read when they are first used.  The others
+    are kept; MemoryLimitError if they need more than MEMORY_LIMIT (1 GiB) in all.  RecordingError
+    if no file can be read.
     """
     contents = Contents()
     files, left_out, doubts = bag_files(path)
     contents.left_out.update(left_out)
     rejected: Counter[tuple[str, str]] = Counter()
-    errors = []
+    errors, memory = [], MemoryBudget(MEMORY_LIMIT.get())
     for file in files:
-        reader = _Reader(contents, rejected)
+        reader = _Reader(
+            contents, rejected, memory, lambda topic: UnreadMessages(files, ratio, topic)
+        )
         try:
             for part in scan(file, ratio):
                 if isinstance(part, Damage):
@@ -62,6 +75,9 @@ def read_contents(path: Path, ratio: float = MAX_UNPACKED_RATIO) -> Contents:
                     contents.has_verified_end &= part.in_index
                 else:
                     reader.add(part)
+                    memory.check(path)
+        except MemoryLimitError:
+            raise
         except RecordingError as error:
             errors.append(error)
             contents.damage += (str(error).removeprefix(f"{file.parent}/"),)
@@ -91,7 +107,11 @@ def _put_in_order(contents: Contents) -> list[str]:
         times = contents.log_times[topic]
         if times != ordered:
             order = sorted(range(len(times)), key=times.__getitem__)
-            contents.messages[topic] = [contents.messages[topic][i] for i in order]
+            messages = contents.messages[topic]
+            if isinstance(messages, UnreadMessages):
+                messages.order = order
+            else:
+                contents.messages[topic] = [messages[i] for i in order]
             contents.log_times[topic] = ordered
     return lines
 
@@ -107,6 +127,59 @@ def _note_rejected(contents: Contents, rejected: Mapping[tuple[str, str], int]) 
             contents.left_out[topic] = "; ".join(
                 filter(None, (contents.left_out.get(topic, ""), line))
             )
+
+
+class MemoryBudget:
+    """The memory that the messages of a recording need, beside a limit, bytes."""
+
+    def __init__(self, limit: int) -> None:
+        self.limit, self.used = limit, 0
+
+    def check(self, path: Path) -> None:
+        """Raise MemoryLimitError, which names the recording, if the limit is exceeded."""
+        if self.used > self.limit:
+            raise MemoryLimitError(
+                f"{path}: its messages need more than {self.limit / 2**30:.3g} GiB of memory: "
+                "--memory raises this limit"
+            )
+
+
+class UnreadMessages(Sequence[bytes]):
+    """Messages of a topic that are read from the files when they are first used.
+
+    ``order``: indices of the messages in the files, in the order of their log times; None if that
+    is their order.
+    """
+
+    def __init__(self, files: Sequence[Path], ratio: float, topic: str) -> None:
+        self._files, self._ratio, self._topic = files, ratio, topic
+        self._count = 0
+        self._messages: list[bytes] | None = None
+        self.order: list[int] | None = None
+
+    def count_one(self) -> None:
+        """Note a message in the files."""
+        self._count += 1
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> Any:
+        if self._messages is None:
+            found = list(self._read())
+            self._messages = found if self.order is None else [found[i] for i in self.order]
+        return self._messages[index]
+
+    def _read(self) -> Iterator[bytes]:
+        contents, memory = Contents(), MemoryBudget(MEMORY_LIMIT.get())
+        for file in self._files:
+            reader = _Reader(contents, Counter(), memory, None, only=self._topic)
+            with suppress(RecordingError):  # of a file that was not read the first time, either
+                for part in scan(file, self._ratio):
+                    if not isinstance(part, Damage):
+                        reader.add(part)
+                    memory.check(file)
+        yield from contents.messages[self._topic][: self._count]
 
 
 def rename_topics(contents: Contents, recorded_names: Mapping[str, str]) -> None:
@@ -143,13 +216,21 @@ def schema_problem(channel: Channel, schema: Schema | None) -> str:
 class _Reader:
     """Adds the records of one file to the contents of the whole recording."""
 
-    def __init__(self, contents: Contents, rejected: Counter[tuple[str, str]]) -> None:
-        self._contents = contents
+    def __init__(
+        self,
+        contents: Contents,
+        rejected: Counter[tuple[str, str]],
+        memory: MemoryBudget,
+        deferred: Callable[[str], UnreadMessages] | None,
+        only: str = "",
+    ) -> None:
+        self._contents, self._memory = contents, memory
+        self._deferred, self._only = deferred, only
         self._rejected = rejected  # numbers of messages by topic and reason
         self._topics: dict[int, str] = {}  # by channel
         self._schemas: dict[int, Schema] = {}
-        # messages and log times by channel; those that are left out are discarded
-        self._lists: dict[int, tuple[list[bytes] | deque[bytes], list[int] | deque[int]]] = {}
+        # what keeps messages and log times, by channel; those that are left out are discarded
+        self._lists: dict[int, tuple[Callable[[bytes], None], Callable[[int], None]]] = {}
 
     def add(self, record: RecordContents) -> None:
         """Add the entries and messages of a record to the contents."""
@@ -164,9 +245,9 @@ class _Reader:
                 self._contents.metadata[entry.name] = dict(entry.metadata)
         lists = self._lists
         for channel, log_time, message, _, _ in record.messages:
-            messages, times = lists[channel]
-            messages.append(message)
-            times.append(log_time)
+            keep_message, keep_time = lists[channel]
+            keep_message(message)
+            keep_time(log_time)
         for channel, why in record.rejected:
             self._rejected[self._topics[channel], why] += 1
 
@@ -178,7 +259,7 @@ class _Reader:
         if not reason and channel.message_encoding != CDR:  # the type does not describe other bytes
             reason = f"messages are encoded as {channel.message_encoding!r}, must be {CDR}"
         if reason:
-            self._lists[channel.id] = deque(maxlen=0), deque(maxlen=0)
+            self._lists[channel.id] = _discard, _discard
             contents.left_out[topic if topic.isprintable() else repr(topic)] = reason
             return
         if schema is not None:
@@ -188,5 +269,32 @@ class _Reader:
                 contents.encodings[schema.name] = schema.encoding
         contents.types.setdefault(topic, "" if schema is None else schema.name)
         contents.qos[topic] = channel.metadata.get("offered_qos_profiles", "")
+        times = contents.log_times.setdefault(topic, [])
+        if self._only and topic != self._only:
+            self._lists[channel.id] = _discard, _discard
+            return
+        if self._deferred is not None and not _is_of_suite(topic):
+            if topic not in contents.messages:
+                contents.messages[topic] = self._deferred(topic)
+            deferred = contents.messages[topic]
+            assert isinstance(deferred, UnreadMessages)
+            self._lists[channel.id] = lambda _: deferred.count_one(), times.append
+            return
         messages = contents.messages.setdefault(topic, [])
-        self._lists[channel.id] = messages, contents.log_times.setdefault(topic, [])
+        assert isinstance(messages, list)
+        memory = self._memory
+
+        def keep(message: bytes) -> None:
+            messages.append(message)
+            memory.used += len(message) + MESSAGE_COST
+
+        self._lists[channel.id] = keep, times.append
+
+
+def _discard(_: object) -> None:
+    pass
+
+
+def _is_of_suite(topic: str) -> bool:
+    """Return True if the suite knows the topic: its messages are kept when a file is read."""
+    return topic_named(topic) is not None or topic.endswith(f"/{HOLD}")

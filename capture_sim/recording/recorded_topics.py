@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -66,7 +66,7 @@ class RecordedTopics:
         return is_typed and bool(self._contents.messages[name])
 
     @property
-    def typed(self) -> dict[Topic, list[bytes]]:
+    def typed(self) -> dict[Topic, Sequence[bytes]]:
         """Serialised messages by topic of the bench, for each that has its own type in the file."""
         return {
             topic: messages

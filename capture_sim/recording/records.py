@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextvars import ContextVar
 from typing import NamedTuple
 
 from mcap.records import Attachment, Channel, Metadata, Schema
@@ -13,6 +14,8 @@ from capture_sim.recording.compression import MAGICS, TOO_LARGE, is_compressed, 
 #: bench's own recordings unpack to about five times.
 MAX_UNPACKED_RATIO = 100.0
 MIN_UNPACKED_LIMIT = 64 * 1024 * 1024
+#: Memory that the messages of a recording may need, bytes.
+MEMORY_LIMIT: ContextVar[int] = ContextVar("memory limit", default=2**30)
 #: Bytes that a message needs in memory besides its own.
 MESSAGE_COST = 100
 #: Log times from here on (ns) do not fit into ROS's clock.

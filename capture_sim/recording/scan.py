@@ -53,7 +53,6 @@ _DAMAGE = (
     McapError,
     struct.error,
     ValueError,
-    MemoryError,
     OverflowError,
     *DAMAGED,
 )
@@ -63,7 +62,6 @@ _INCOMPLETE = (
     RecordLengthLimitExceeded,
     struct.error,
     OverflowError,
-    MemoryError,
 )
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sqlite3
 import tempfile
 from collections.abc import Iterator
+from contextlib import closing, suppress
 from itertools import islice
 from pathlib import Path
 
@@ -50,6 +52,7 @@ def scan_sqlite(
 def _scan(path: Path, named: Path, size: int, limit: int) -> Iterator[RecordContents | Damage]:
     from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader  # 0.1 s, only for these files
 
+    _check_tables(path, named)
     reader = Sqlite3Reader(path)
     try:
         reader.open()
@@ -94,6 +97,23 @@ def _scan(path: Path, named: Path, size: int, limit: int) -> Iterator[RecordCont
         yield Damage(None, size, reason, count, reader.metadata.message_count, (last - first) / 1e9)
     finally:
         reader.close()
+
+
+def _check_tables(path: Path, named: Path) -> None:
+    """Raise RecordingError if the file's tables are not plain: a column that SQLite computes may
+    be of any size, and a view may be any query.
+    """
+    with suppress(sqlite3.Error), closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as bag:
+        query = "SELECT name, type || ' ' || coalesce(sql, '') FROM sqlite_master"
+        kinds = dict(bag.execute(query))
+        for table in ("topics", "messages"):
+            kind = kinds.get(table, "")
+            hidden = [row[6] for row in bag.execute(f"PRAGMA table_xinfo({table})")]
+            if kind and (not kind.upper().startswith("TABLE CREATE TABLE") or any(hidden)):
+                raise RecordingError(
+                    f"{named}: not a bag of rosbag2: {table} must be a table without computed "
+                    "columns"
+                )
 
 
 def _in_words(error: Exception, path: Path) -> str:

@@ -619,6 +619,11 @@ class MeasuredRun(Run):
             return self.given.events
         return events_of(self.scene, self.samples, self.touches, self._sensors)
 
+    def _left_out(self, *words: str) -> str:
+        """Return why topics with one of these words in their names are left out, or nothing."""
+        lines = [line for line in self.origin.left_out if any(word in line for word in words)]
+        return f" ({'; '.join(lines)})" if lines else ""
+
     def _check_poses(self) -> None:
         where = self.origin.path or self.name
         for vehicle in ("chaser", "target"):
@@ -626,12 +631,13 @@ class MeasuredRun(Run):
                 raise RecordingError(
                     f"{where}: contains no finite pose of the {vehicle} "
                     f"(/motion_capture/{vehicle} or /{vehicle}/odom); --remap reads it from "
-                    "another topic"
+                    f"another topic{self._left_out(vehicle)}"
                 )
         if not self.measured("stroke").t.size or not self.measured("torsion").t.size:
             raise RecordingError(
                 f"{where}: contains neither /bench/buffer nor /joint_states with buffer_hinge and "
                 "buffer_slide, so the position of the tip is unknown"
+                + self._left_out("buffer", "joint")
             )
 
     @cached_property

@@ -853,7 +853,12 @@ def test_a_killed_sweep_continues_to_the_same_table(kept, tmp_path, capsys):
     done = sum(len(rows) for _, rows in map(json.loads, lines[1 : 1 + kept]))
     assert f"{done} of 90 runs were done before" in capsys.readouterr().out
     assert (tmp_path / "a.csv").read_bytes() == undisturbed
-    assert main([*arguments, "--resume"]) == 2  # complete
+    assert main([*arguments, "--resume"]) == 0  # a job that is queued once more
+    assert capsys.readouterr().out == f"complete: 90 runs, table in {tmp_path / 'a.csv'}\n"
+    (tmp_path / "a.csv").unlink()
+    assert main([*arguments, "--resume"]) == 0  # before its first run it begins
+    assert "0 of 90 runs were done before" in capsys.readouterr().out
+    assert (tmp_path / "a.csv").read_bytes() == undisturbed
     journal.write_bytes(b"".join(lines))
     assert main([*arguments, "--seed=2", "--resume"]) == 2
     assert "is of another study: vary must be the same" in capsys.readouterr().err

@@ -1,0 +1,109 @@
+"""A trial is whole if its file is: without holes, and with the verdict that it was given."""
+
+import dirty
+import pytest
+
+from capture_sim.messages.convert import LaunchAction, Messages, RunDescription
+from capture_sim.messages.telemetry import DetectorTelemetry, LauncherTelemetry
+from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, RUN_INFO, RunSource
+from capture_sim.recording.read import read_run
+from capture_sim.recording.trial_check import trial_problems
+from capture_sim.run.run import detect
+from capture_sim.scene.launch_plan import plan_launch
+from capture_sim.scene.loading import load_scene
+
+SCENE = load_scene("tilt_p10")
+#: s since the release.
+CONTACT = dirty.TRUE.first_contact
+
+
+def record(sent, stamp):
+    topic = sent.topic
+    return dirty.Record(topic.absolute_name, topic.type_name, stamp + dirty.DELAY, sent.data)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Return the records of a trial: announcement, release, sensors and the detector's verdict."""
+    messages = Messages()
+    run = RunDescription.of(SCENE, "a trial", [LAUNCHER, CAPTURE_DETECTOR], source=RunSource.TRIAL)
+    info = messages.serialise(messages.run_info(run))
+    launcher = LauncherTelemetry(messages, run.run_id)
+    launcher.zero_ns = dirty.RELEASE
+    release = launcher.command(0.0, LaunchAction.RELEASE, plan_launch(SCENE))
+    begin = dirty.RELEASE - 200_000_000
+    records = [
+        dirty.Record(RUN_INFO.absolute_name, RUN_INFO.type_name, begin, info),
+        record(release, dirty.RELEASE),
+        *dirty.clean(),
+    ]
+    path = dirty.write(tmp_path_factory.mktemp("whole"), "plain", records)
+    detector = DetectorTelemetry(messages, run.run_id)
+    detector.zero_ns = dirty.RELEASE
+    for status in detect(read_run(path)):
+        at = dirty.RELEASE + round(status.t * 1e9)
+        records += [record(sent, at) for sent in detector.status(status.t, status)]
+        if status.final:
+            break
+    return records
+
+
+def problems(whole, folder, change=list):
+    return trial_problems(dirty.write(folder, "plain", change(whole)))
+
+
+def test_a_whole_trial_has_no_problem(whole, tmp_path):
+    assert problems(whole, tmp_path) == []
+
+
+@pytest.mark.parametrize("topic", [dirty.CHASER, dirty.TARGET, dirty.JOINTS, dirty.CELL])
+@pytest.mark.parametrize("begin, length", [(0.5, 0.15), (CONTACT - 0.05, 0.2), (1.0, 2.0)])
+def test_a_hole_is_named_with_its_times(topic, begin, length, whole, tmp_path):
+    def holed(records):
+        return [r for r in records if r.topic != topic or not begin < r.t < begin + length]
+
+    lines = problems(whole, tmp_path, holed)
+    name = topic.lstrip("/")
+    assert any(line.startswith(f"{name}: no measurement from {begin:.1f}") for line in lines), lines
+
+
+def test_a_hole_before_the_release_or_after_the_verdict_is_none(whole, tmp_path):
+    end = max(r.t for r in whole if r.topic == "/capture/status")
+    kept = [r for r in whole if not (-0.5 < r.t < -0.1 or r.t > end + 0.3)]
+    assert problems(whole, tmp_path, lambda _: kept) == []
+
+
+def test_single_lost_frames_are_no_hole(whole, tmp_path):
+    def thinned(records):
+        return [r for k, r in enumerate(records) if r.topic != dirty.CHASER or k % 7]
+
+    assert problems(whole, tmp_path, thinned) == []
+
+
+def test_a_verdict_that_the_file_does_not_give_is_named(whole, tmp_path):
+    """As of a detector that stood still over the contact, and judged what came after."""
+
+    def late(records):
+        return [
+            dirty.restamped([r], r.topic, lambda ns: ns + 10**9)[0]
+            if r.topic.startswith("/capture")
+            else r
+            for r in records
+        ]
+
+    [line] = problems(whole, tmp_path, late)
+    assert line.startswith("verdict: captured at 4.")
+    assert "made again from the file captured at 3." in line
+
+
+def test_a_damaged_or_absent_file_is_named(whole, tmp_path):
+    path = dirty.write(tmp_path, "plain", whole)
+    path.write_bytes(path.read_bytes()[:-5000])
+    assert trial_problems(path)[0].startswith("read up to byte")
+    path.unlink()
+    assert "No such file" in trial_problems(path)[0]
+
+
+def test_an_excluded_topic_is_named(whole, tmp_path):
+    [line] = problems(whole, tmp_path, dirty.CHANGES["encoder_inverted"])
+    assert "buffer_inverted" in line
