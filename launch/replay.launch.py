@@ -1,27 +1,19 @@
 """Play a recording: ros2 launch capture_sim replay.launch.py bag:=/data/tilt_0.mcap rtf:=2.0."""
 
-from typing import List  # noqa: UP035
+import shutil
 
-from launch.actions import DeclareLaunchArgument, RegisterEventHandler, Shutdown
-from launch.conditions import IfCondition
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, RegisterEventHandler, Shutdown
 from launch.event_handlers import OnProcessExit
-from launch.substitutions import LaunchConfiguration, PythonExpression
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
+from capture_sim.errors import CaptureSimError
+from capture_sim.messages.topics import PLAYER
+from capture_sim.nodes.launching import REPLAY_ARGUMENTS, plan_replay
 from launch import LaunchDescription
 
-TEXTS = List[str]  # noqa: UP006  # by which launch knows a list
-SWITCH = ("true", "false")
-#: Name, default, description and choices.
-ARGUMENTS = (
-    ("bag", None, "an .mcap file, or a bag's folder", None),
-    ("rtf", "1.0", "real-time factor, 0 to 1000; 0 plays without pacing", None),
-    ("start", "0.0", "time after the recording's start at which to begin, s", None),
-    ("namespace", "/", "namespace of all nodes and topics", None),
-    ("paused", "false", "start paused", SWITCH),
-    ("detect", "false", "evaluate the run again; the recorded verdict is not played", SWITCH),
-)
+#: A node ends in order when this launch is killed.
+TIED = "setpriv --pdeathsig INT" if shutil.which("setpriv") else ""
 
 
 def fail_with(event, context):
@@ -30,37 +22,34 @@ def fail_with(event, context):
         raise RuntimeError(f"{event.process_name}: exit status {event.returncode}")
 
 
+def start(context):
+    """Return the actions that start what the arguments ask for."""
+    given = {name: LaunchConfiguration(name).perform(context) for name in REPLAY_ARGUMENTS}
+    try:
+        plan = plan_replay(given)
+    except CaptureSimError as error:
+        raise RuntimeError(str(error)) from None
+    actions = []
+    for program, parameters in plan.nodes:
+        ends = {"on_exit": Shutdown(reason="the player has ended")}
+        node = Node(
+            package="capture_sim",
+            executable=program,
+            name=program,
+            namespace=plan.namespace,
+            parameters=[parameters],
+            output="screen",
+            prefix=TIED,
+            **(ends if program == PLAYER else {}),
+        )
+        ended = OnProcessExit(target_action=node, on_exit=fail_with)
+        actions += [RegisterEventHandler(ended), node]
+    return actions
+
+
 def generate_launch_description():
     arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=description, choices=choices)
-        for name, default, description, choices in ARGUMENTS
+        DeclareLaunchArgument(name, default_value="", description=description)
+        for name, description in REPLAY_ARGUMENTS.items()
     ]
-    detect = LaunchConfiguration("detect")
-    wait_for = PythonExpression(["['capture_detector' if '", detect, "' == 'true' else '']"])
-    player = Node(
-        package="capture_sim",
-        executable="player",
-        name="player",
-        namespace=LaunchConfiguration("namespace"),
-        on_exit=Shutdown(reason="the player has ended"),
-        parameters=[
-            {
-                "bag": LaunchConfiguration("bag"),
-                "rtf": ParameterValue(LaunchConfiguration("rtf"), value_type=float),
-                "start": ParameterValue(LaunchConfiguration("start"), value_type=float),
-                "paused": ParameterValue(LaunchConfiguration("paused"), value_type=bool),
-                "wait_for": ParameterValue(wait_for, value_type=TEXTS),
-            }
-        ],
-        output="screen",
-    )
-    detector = Node(
-        package="capture_sim",
-        executable="capture_detector",
-        name="capture_detector",
-        namespace=LaunchConfiguration("namespace"),
-        condition=IfCondition(detect),
-        output="screen",
-    )
-    ends = RegisterEventHandler(OnProcessExit(on_exit=fail_with))
-    return LaunchDescription([*arguments, ends, player, detector])
+    return LaunchDescription([*arguments, OpaqueFunction(function=start)])

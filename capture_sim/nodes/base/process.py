@@ -20,10 +20,12 @@ from pathlib import Path
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from capture_sim.base.exit_status import BAD_INPUT, FAILED, OK, REFUSAL
 from capture_sim.base.interrupts import STOP, end_within, leave_if_busy, watch_signals
 from capture_sim.base.resources import config_dir
+from capture_sim.base.version import __version__
 from capture_sim.errors import CaptureSimError, one_line
 from capture_sim.nodes.base import dds
 from capture_sim.nodes.base.endpoints import TRANSIT_TIME
@@ -47,7 +49,16 @@ def run(
     None for the command line of the process.  The process must end after this call: if DDS does not
     shut down, the process is ended after :data:`DDS_SHUTDOWN_TIMEOUT`.
     """
-    if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
+    words = list(sys.argv[1:] if args is None else args)
+    if "--version" in words:
+        print(f"capture_sim {__version__}", flush=True)
+        return OK
+    if not {"-h", "--help"} & set(words):
+        own = remove_ros_args(["program", *words])[1:]
+        if own:
+            hint = "parameters are given by --ros-args -p NAME:=VALUE, see --help"
+            return _refuse_early(f"{own[0]!r}: not an argument of this program; {hint}")
+    if {"-h", "--help"} & set(words):
         try:
             print(_usage(make), flush=True)
         except BrokenPipeError:  # e.g. head has closed the pipe
@@ -97,8 +108,13 @@ def _limit_shutdown() -> None:
     os._exit(FAILED)
 
 
-def _refuse(reason: str) -> int:
+def _refuse_early(reason: str) -> int:
     print(REFUSAL + one_line(reason), file=sys.stderr, flush=True)
+    return BAD_INPUT
+
+
+def _refuse(reason: str) -> int:
+    _refuse_early(reason)
     end_within(DDS_SHUTDOWN_TIMEOUT, BAD_INPUT)
     return BAD_INPUT
 

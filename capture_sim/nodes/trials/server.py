@@ -148,8 +148,7 @@ class TrialServer:
         the last result then gets it, if it asks for it soon.
         """
         self._node.freeze_objects()
-        actuator = "launcher/hold" if self._settings.has_actuator else "none: let go by hand"
-        self._node.get_logger().info(f"ready for trials, actuator {actuator}")
+        self._node.get_logger().info(f"ready for trials: {self._mode}")
         try:
             while True:
                 self._node.wait(lambda: self._handle is not None)
@@ -158,6 +157,13 @@ class TrialServer:
             self._bench.close()
             if self._goal_id:
                 self._answer_last_goal()
+
+    @property
+    def _mode(self) -> str:
+        """What a trial does to the bench, as the operator must know it."""
+        if self._settings.has_actuator:
+            return "releases hardware by launcher/hold"
+        return "dry run, nothing is released (actuator none): let go by hand"
 
     def settings_changed(self) -> None:
         """Apply the changed settings of the launch to the present trial, if there is one."""
@@ -252,6 +258,7 @@ class TrialServer:
 
     def _follow(self, handle: Any, run: TrialAnnouncement, limit: float = math.inf) -> None:
         trial, deadline, reported = run.trial, time.monotonic() + limit, -math.inf
+        has_said_mode = False
         while trial.phase is not TrialPhase.OVER and time.monotonic() < deadline:
             self._node.wait(lambda: bool(self._bench.steps), TICK)
             for step in self._bench.take_steps():
@@ -261,7 +268,8 @@ class TrialServer:
             now = time.monotonic()
             if now >= reported + FEEDBACK_PERIOD:
                 reported = now
-                handle.publish_feedback(_feedback(trial, now))
+                handle.publish_feedback(_feedback(trial, now, "" if has_said_mode else self._mode))
+                has_said_mode = True
             if trial.deviation != self._said:  # what it is, once
                 if trial.deviation.split(" ")[0] != self._said.split(" ")[0] and trial.deviation:
                     self._node.get_logger().warning(f"{trial.goal.name}: {trial.deviation}")
@@ -343,11 +351,14 @@ def _starts(settings: TrialSettings) -> dict[str, Pose]:
     return {name: start_of(scene) for name, scene in scenes.items()}
 
 
-def _feedback(trial: Trial, now: float) -> Any:
-    """Return the feedback message of a trial; ``now``: present time of the steady clock, s."""
+def _feedback(trial: Trial, now: float, mode: str) -> Any:
+    """Return the feedback message of a trial; ``now``: present time of the steady clock, s.
+
+    ``mode``: what a trial does to the bench, in the first feedback.
+    """
     return RunTrial.Feedback(
         phase=int(trial.phase),
-        waiting_for=trial.waiting_for(now),
+        waiting_for="; ".join(filter(None, (mode, trial.waiting_for(now)))),
         t=now - trial.released,
         gap=trial.gap,
     )
