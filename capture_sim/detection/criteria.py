@@ -142,6 +142,7 @@ class Criteria(NamedTuple):
     L_c: float
     cos_b: float
     sin_b: float
+    flies: float  # 1 if the scene has thrusters, see :func:`decide`; else 0
 
     @classmethod
     def of(cls, scene: Scene) -> Criteria:
@@ -158,7 +159,12 @@ class Criteria(NamedTuple):
             scene.rest_length,
             scene.buffer.hinge_offset,
             *scene.cone.wall,
+            float(scene.thrusters is not None),
         )
+
+    def is_final(self, state: CaptureState) -> bool:
+        """Return True if a state does not change any more: in a flight, only a capture."""
+        return state is CaptureState.CAPTURED if self.flies else state.is_verdict
 
 
 class Place(NamedTuple):
@@ -202,6 +208,8 @@ MEMORY = np.dtype(
         ("has_been_outside", "i8"),  # the tip has been ahead of BE
         ("crossing_lateral", "f8"),  # m, lateral offset at the last crossing of BE's plane
         ("nearest", "f8"),  # m, smallest distance from BE
+        ("nearest_now", "f8"),  # m, ... in the present approach
+        ("t_verdict", "f8"),  # s, start of the verdict that a new approach may end
         ("nearest_gap", "f8"),  # m, smallest gap to a wall, less GUARD standard deviations
         ("fastest", "f8"),  # m/s, largest speed
         ("zone_since", "f8"),  # s, since when the tip has been in the capture zone
@@ -229,8 +237,16 @@ def new_memory(*, has_approached: bool) -> np.ndarray:
 def _first_memory() -> np.ndarray:
     memory = np.zeros(1, MEMORY)
     memory["has_stayed"] = True
-    memory["nearest"] = memory["nearest_gap"] = math.inf
-    for name in ("first_t", "zone_since", "outside_since", "still_since", "axial", "lateral"):
+    memory["nearest"] = memory["nearest_now"] = memory["nearest_gap"] = math.inf
+    for name in (
+        "t_verdict",
+        "first_t",
+        "zone_since",
+        "outside_since",
+        "still_since",
+        "axial",
+        "lateral",
+    ):
         memory[name] = math.nan
     return memory
 
@@ -288,7 +304,7 @@ def is_approaching(criteria, memory, t, distance, unsure):
         if distance - ZONE_GUARD * unsure > criteria.radius:
             memory.has_stayed = 0
         memory.farthest = max(memory.farthest, distance)
-        memory.nearest = distance
+        memory.nearest = memory.nearest_now = distance
         if memory.farthest - distance - GUARD * unsure > criteria.radius:
             memory.has_approached = 1
     return memory.has_approached != 0
@@ -315,6 +331,22 @@ def watch_capture(criteria, memory, t, distance, unsure, axial, margin, outside_
 
 
 @kernel
+def approach_again(criteria, memory, t, distance, unsure):
+    """Begin a new approach if the tip has come nearer to BE by the capture radius since a verdict.
+
+    The closest approach of the run is kept; what decides on the new approach begins anew.
+    """
+    if memory.t_verdict != memory.since:
+        memory.t_verdict, memory.farthest = memory.since, distance
+    memory.farthest = max(memory.farthest, distance)
+    if memory.farthest - distance - GUARD * unsure > criteria.radius:
+        enter(memory, CaptureState.APPROACH, Cause.NO_CONTACT, t, 0.0)
+        memory.nearest_now, memory.nearest_gap, memory.fastest = distance, math.inf, 0.0
+        memory.zone_since = memory.still_since = math.nan
+        memory.has_been_outside = 0
+
+
+@kernel
 def decide(criteria, memory, place, has_rested, corner_time, outside_time):
     """Evaluate the criteria at one position of the tip; positions must be in the order of time.
 
@@ -325,6 +357,9 @@ def decide(criteria, memory, place, has_rested, corner_time, outside_time):
     positions (``place.size > 1``), which are not tested for rest here.  ``corner_time``: see
     :func:`must_have_hit`.  ``outside_time`` (s): a captured tip counts as outside the capture zone
     again once it has been outside for this long.
+
+    A vehicle that flies may hold, back off or try again: its states *missed*, *rebound* and *stuck*
+    are left when the tip comes nearer to BE again by the capture radius.
     """
     t, axial, lateral = place.t, place.axial, place.lateral
     var_a, var_l = place.axial_variance, place.lateral_variance
@@ -348,10 +383,13 @@ def decide(criteria, memory, place, has_rested, corner_time, outside_time):
     if not is_approaching(criteria, memory, t, distance, unsure):
         return
     memory.nearest = min(memory.nearest, distance)
+    memory.nearest_now = min(memory.nearest_now, distance)
     memory.fastest = max(memory.fastest, speed)
     margin = GUARD * math.sqrt(var_a)
     if memory.state == CaptureState.CAPTURED:
         watch_capture(criteria, memory, t, distance, unsure, axial, margin, outside_time)
+    if memory.state > CaptureState.CAPTURED and criteria.flies > 0.0:
+        approach_again(criteria, memory, t, distance, unsure)
     if memory.state > CaptureState.CONTACT:
         return
 
@@ -383,11 +421,11 @@ def decide(criteria, memory, place, has_rested, corner_time, outside_time):
         enter(memory, CaptureState.CAPTURED, Cause.DWELT, t, 0.0)
         return
 
-    if distance - memory.nearest - GUARD * unsure > criteria.leave:
+    if distance - memory.nearest_now - GUARD * unsure > criteria.leave:
         if memory.state == CaptureState.CONTACT or must_have_hit(criteria, memory, corner_time):
-            enter(memory, CaptureState.REBOUND, Cause.RETREATED, t, memory.nearest)
+            enter(memory, CaptureState.REBOUND, Cause.RETREATED, t, memory.nearest_now)
         else:
-            enter(memory, CaptureState.MISSED, Cause.MOVED_AWAY, t, memory.nearest)
+            enter(memory, CaptureState.MISSED, Cause.MOVED_AWAY, t, memory.nearest_now)
         return
 
     is_outside = distance - ZONE_GUARD * unsure > criteria.radius
@@ -425,7 +463,9 @@ def decide_at_end(criteria, memory, corner_time, cut):
         cause = Cause.NOT_APPROACHED
     elif not cut and has_met and is_outside and is_still:
         state, cause = CaptureState.STUCK, Cause.END_AT_REST
-    elif not cut and has_met and moves_out and memory.distance - memory.nearest > criteria.radius:
+    elif (
+        not cut and has_met and moves_out and memory.distance - memory.nearest_now > criteria.radius
+    ):
         state, cause = CaptureState.REBOUND, Cause.END_MOVING_OUT
     elif not cut and not has_met and is_outside and (is_still or moves_out):
         state, cause = CaptureState.MISSED, Cause.END_NOT_APPROACHING

@@ -512,7 +512,7 @@ class CaptureDetector:
         return CaptureStatus(
             t=observation.t + (self._epoch - self.zero) / 1e9,
             state=self._state,
-            final=is_over or self._state.is_verdict,
+            final=is_over or self._criteria.is_final(self._state),
             distance=math.hypot(*tip.place),
             axial_offset=tip.place[0],
             lateral_offset=tip.place[1],

@@ -86,7 +86,10 @@ def follow(criteria, memories, samples, y, rows, to_verdict):
         row.relative_speed = memory.speed
         row.nearest_distance = memory.nearest
         row.time_in_state = t - memory.since
-        if to_verdict and memory.state > CaptureState.CONTACT:
+        is_over = memory.state > CaptureState.CONTACT
+        if c.flies > 0.0:
+            is_over = memory.state == CaptureState.CAPTURED
+        if to_verdict and is_over:
             return k + 1
     return samples.size
 
@@ -148,7 +151,7 @@ class _Words:
         state, cause, value, t, *numbers = row
         if self._last[0] != (cause, value):
             self._last = (cause, value), reason(self._criteria, cause, value)
-        final = is_over or _STATES[state].is_verdict
+        final = is_over or self._criteria.is_final(_STATES[state])
         return CaptureStatus._make((t, _STATES[state], final, *numbers, self._last[1], "", 0.0))
 
 
@@ -206,8 +209,8 @@ class ExactDetector:
 
     @property
     def final(self) -> bool:
-        """True if there is a verdict."""
-        return self.state.is_verdict
+        """True if there is a verdict that does not change any more."""
+        return self._criteria.is_final(self.state)
 
     def update(self, samples: np.ndarray) -> list[CaptureStatus]:
         """Return the status at each of the next samples, (n,) of dtype SAMPLE."""
@@ -266,7 +269,7 @@ class ExactDetector:
         memory, row = self._memory[0], self._row[0]
         if math.isnan(row["distance"]):
             memory["state"], memory["cause"] = CaptureState.UNDECIDED, Cause.NOT_MEASURED
-        elif not self.final:
+        elif not self.state.is_verdict:
             lacks_end = not has_end and (cut or memory["speed"] >= self._criteria.still_speed)
             by_name = self._memory.view(_MEMORY_BY_NAME)[0]
             _decide_at_end(self._criteria, by_name, 0.0, cut or lacks_end)

@@ -374,7 +374,6 @@ class Bench:
         if not np.array_equal(mode["thrust"], wrench) or not mode["thrusting"]:
             mode["thrusting"], mode["thrust"] = 1, wrench
             step["equations_changed"] = 1
-            self._scale_errors(wrench)
         self.pause_at(until)
 
     def pause_at(self, t: float) -> None:
@@ -405,25 +404,6 @@ class Bench:
             event["t"], event["which"], event["value"] = self.t, vehicle + 1, timeout
             event["q"], event["v"] = y[:8], y[8:16]
             self._unread.append(event)
-
-    def _scale_errors(self, wrench: np.ndarray) -> None:
-        """Raise the speed scale of the error control to the speed that this thrust causes.
-
-        This is the speed of a vehicle that starts from rest, after a path of the tip's radius.
-        """
-        par = self._system["par"]
-        arm, at_target = par["a"] + par["h_0"], par["L_T"] + par["R_c"]
-        push = max(
-            math.hypot(wrench[0], wrench[1]) / par["m_total"],
-            math.hypot(wrench[3], wrench[4]) * par["inverse_m_T"],
-            abs(wrench[2]) / par["I_S"] * arm,
-            abs(wrench[5]) * par["inverse_I_T"] * at_target,
-        )
-        speed = math.sqrt(2.0 * push * par["R_t"])
-        if speed > par["speed_scale"]:
-            par["speed_scale"] = speed
-            weights = self._record["stepper"]["weights"]
-            weights[...] = np.minimum(weights, 1.0 / error_scale(par))
 
     def set_contact(
         self, stiffness: float, exponent: float, chi: float, offset: float, mu: float, v_eps: float

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -10,10 +11,8 @@ import numpy as np
 
 from capture_sim.dynamics.bench import Bench
 from capture_sim.dynamics.memory import joined
-from capture_sim.dynamics.samples import (
-    Event,
-)
-from capture_sim.dynamics.thrust import Actuation, Commands
+from capture_sim.dynamics.samples import SAMPLE, Event
+from capture_sim.dynamics.thrust import NO_THRUST, Actuation, Commands
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.scene.parts import Thruster, Thrusters
 from capture_sim.scene.quantities import LARGEST, refuse
@@ -86,6 +85,7 @@ class _Controlled:
         self._actuation = Actuation(_IDEAL if control.as_applied else scene.thrusters)
         self._last: np.void | None = None
         self._count = 0  # samples so far
+        self._has_warned = False
 
     def size(self, first: int) -> int:
         """Return the number of samples from ``first`` up to and including the next instant."""
@@ -98,7 +98,7 @@ class _Controlled:
         """
         bench, actuation = self._bench, self._actuation
         if self._last is not None and (self._count - 1) % self._every == 0:
-            actuation.command(float(self._last["t"]), self._command(self._last))
+            actuation.command(float(self._last["t"]), self._commands())
         end = float(times[-1]) if times.size else math.inf
         if bench.is_on_rail or self._last is None:
             bench.pause_at(end)
@@ -116,6 +116,31 @@ class _Controlled:
             self._last, self._count = samples[-1].copy(), self._count + samples.size
         return samples
 
+    def _commands(self) -> Commands:
+        """Ask the controller; a command that is none gives no thrust, and one warning a run.
+
+        SimulationError if the controller raises an error.
+        """
+        sample = self._last
+        assert sample is not None
+        try:
+            commands = self._command(sample)
+        except Exception as error:
+            text = f"controller at {float(sample['t']):.6g} s: {type(error).__name__}: {error}"
+            raise SimulationError(text, np.zeros(0, SAMPLE)) from error
+        if _are_commands(commands):
+            return commands
+        if not self._has_warned:
+            self._has_warned = True
+            warnings.warn(
+                f"command of the controller at {float(sample['t']):.6g} s: {commands!r:.200}: for "
+                "chaser and target, each must be finite numbers, N, N and N m, or None; the "
+                "vehicles coast",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+        return NO_THRUST, NO_THRUST
+
     def _up_to(self, end: float, times: np.ndarray) -> np.ndarray:
         """Run with the present wrenches until their next change, at most to ``end`` (s)."""
         bench, actuation = self._bench, self._actuation
@@ -128,6 +153,19 @@ class _Controlled:
         if chosen.size and chosen[-1] < until and not bench.done:
             bench.advance(times[:0])
         return samples
+
+
+def _are_commands(commands: object) -> bool:
+    """Return True if a controller has returned three finite numbers or None for each vehicle."""
+    if not isinstance(commands, (tuple, list)) or len(commands) != 2:
+        return False
+    try:
+        return all(
+            wrench is None or (len(wrench) == 3 and all(map(math.isfinite, wrench)))
+            for wrench in commands
+        )
+    except TypeError:
+        return False
 
 
 def drive(

@@ -3,6 +3,7 @@
 import math
 import re
 import subprocess
+import sys
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -25,6 +26,9 @@ from capture_sim.fmu.machine_code import instructions
 from capture_sim.hardware.law import TipState, WallLaw, Walls
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.append(str(ROOT / "examples"))
+from docking_controller import command as docking  # noqa: E402
+
 #: A unit is compiled by itself, and may round other than the kernels of Python; touches enlarge the
 #: difference.  1e-9 is the promise.
 EQUAL = 1e-9
@@ -281,6 +285,46 @@ def test_thrust_moves_the_unit_as_the_bench_to_its_end(unit, instances):
             assert instance.get(name) == pytest.approx(value, abs=1e-7), name
     assert t == pytest.approx(0.52)
     assert sample["touches"] > 3
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.1])
+def test_the_free_flyer_is_flown_by_its_controller_as_in_python(speed, unit, instances):
+    """From rest, and with a speed that only the host gives it; through the docking."""
+    example = ROOT / "examples" / "free_flyer.yaml"
+    changes = {"run.t_end": 8.0}
+    instance = instances(unit(example, changes))
+    instance.begin(**{"initial.chaser.vx": speed})
+    bench = Bench(load_scene(example, {**changes, "initial.chaser.vx": speed}))
+    names = [f"thrust.chaser.{n}" for n in ("force.x", "force.y", "torque.z")]
+    bench.pause_at(0.0)
+    sample, t, is_over, touched = bench.advance([0.0])[0], 0.0, False, False
+    while not is_over:
+        touched = touched or bool(sample["touches"])
+        bodies = [_as_odometry(sample, at) for at in (0, 5)]
+        force = docking(*bodies, touched)
+        force = [float(np.clip(f, -high, high)) for f, high in zip(force, (2, 2, 0.2), strict=True)]
+        instance.set(dict(zip(names, force, strict=True)))
+        until = round(t + 0.02, 9)
+        bench.thrust(force, (0.0, 0.0, 0.0), until)
+        found = bench.advance([until])
+        t, _, is_over = instance.step(t, 0.02)
+        if not found.size:  # the run has ended after the latch
+            assert is_over
+            break
+        sample = found[-1]
+        for name in ("q.x_S", "q.y_S", "v.x_S", "q.x_T"):
+            value = columns_of(np.array([sample]))[name][0]
+            assert instance.get(name) == pytest.approx(value, abs=EQUAL), (name, t)
+    assert touched
+    assert instance.get("phase", "Int64") == Phase.LATCHED
+
+
+def _as_odometry(sample, at):
+    heading = sample["q"][at + 2]
+    c, s = math.cos(heading), math.sin(heading)
+    u, v, spin = sample["v"][at : at + 3]
+    half = math.sin(0.5 * heading), math.cos(0.5 * heading)
+    return (*sample["q"][at : at + 2], *half, c * u + s * v, c * v - s * u, spin)
 
 
 def test_a_unit_with_the_contact_outside_has_no_walls_and_ends_after_its_latch(unit, instances):

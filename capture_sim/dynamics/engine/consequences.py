@@ -14,6 +14,7 @@ from capture_sim.dynamics.engine.events import (
     is_slow,
 )
 from capture_sim.dynamics.engine.state import NO_EVENT
+from capture_sim.dynamics.engine.step_length import raise_speed_scale
 from capture_sim.dynamics.model.contact import (
     damping_of_touch,
     elastic_contact_energy,
@@ -123,6 +124,7 @@ def begin_touch(w, i):
     touch.peak_time = step.t0
     touch.impulse_0 = y[IMPULSE + i]
     touch.dissipated_0 = y[HYSTERESIS + i]
+    raise_speed_scale(w)
     w.totals.touches += 1
     e = log_event(w, EventKind.TOUCH)
     e.which = 1 - 2 * i

@@ -8,6 +8,7 @@ from capture_sim.dynamics.engine.extremes import begin_extremes
 from capture_sim.dynamics.engine.rail import close_rail, plan_rail, rail_state
 from capture_sim.dynamics.engine.segment import close_step, plan_step
 from capture_sim.dynamics.engine.state import LOG_ROOM, Segment, StepStatus
+from capture_sim.dynamics.engine.step_length import raise_speed_scale
 from capture_sim.dynamics.engine.steps import make_dense
 from capture_sim.dynamics.engine.work import work_inside
 from capture_sim.dynamics.model.equations import N_STATE, N_TOTAL, rate_of_change
@@ -103,6 +104,7 @@ def advance(workspaces, times, samples, trace):
     step, progress, totals = w.step, w.progress, w.totals
     if not progress.begun:
         begin(w)
+    raise_speed_scale(w)
     last_step = totals.steps + _STEPS_PER_CALL
     k = 0
     while k < times.shape[0]:

@@ -63,6 +63,42 @@ def error_scale(par: np.void) -> np.ndarray:
 
 
 @kernel
+def raise_speed_scale(w):
+    """Raise the speed scale of the error control to the present speeds and to those of a thrust.
+
+    The scene's scale is that of its release.  A host may set other speeds, and a thrust may cause
+    them later; with a scale near 0, no step would be accurate enough.  The speed of a thrust is
+    that of a vehicle that starts from rest, after a path of the tip's radius.  The present speeds
+    count from twice the scale on, so that runs as planned keep theirs.
+    """
+    par, y, thrust = w.system.par, w.stepper.y, w.system.mode.thrust
+    arm, at_target = par.a + par.h_0, par.L_T + par.R_c
+    speed = max(math.hypot(y[8] - y[13], y[9] - y[14]), abs(y[10]) * arm, abs(y[15]) * at_target)
+    if not speed > 2.0 * par.speed_scale:
+        speed = par.speed_scale
+    if w.system.mode.thrusting:
+        push = max(
+            math.hypot(thrust[0], thrust[1]) / par.m_total,
+            math.hypot(thrust[3], thrust[4]) * par.inverse_m_T,
+            abs(thrust[2]) / par.I_S * arm,
+            abs(thrust[5]) * par.inverse_I_T * at_target,
+        )
+        speed = max(speed, math.sqrt(2.0 * push * par.R_t))
+    if not speed > par.speed_scale:
+        return
+    par.speed_scale = speed
+    weights = w.stepper.weights
+    for i in range(weights.shape[0]):
+        if i < 8:
+            continue  # positions have a length as their scale
+        scale = par.rtol * par.m_P * speed**2
+        if i < 16:
+            lever = arm if i == 10 or i == 11 else at_target if i == 15 else 1.0
+            scale = par.rtol * (speed / lever)
+        weights[i] = min(weights[i], 1.0 / scale)
+
+
+@kernel
 def next_factor(error, previous, order):
     """Return the factor for the next step after an ``error`` (accepted if <= 1)."""
     if error == 0.0:
