@@ -161,10 +161,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="accept a capture that the tip has left again at t_end",
     )
     parser.add_argument(
-        "--hold-at-be",
+        "--allow-passing",
         action="store_true",
-        help="require that the tip, which may pass BE, is at t_end no further behind it than the "
-        "capture radius",
+        help="accept a tip that has flown through the target: at t_end it is further behind BE, "
+        "the cone's inner edge, than the capture radius",
     )
     parser.add_argument(
         "--stroke-limit",
@@ -273,7 +273,7 @@ def run(options: argparse.Namespace) -> int:
         make_area(scene, options.approach),
         options.capture_range,
         options.allow_leaving,
-        options.hold_at_be,
+        not options.allow_passing,
     )
     make_variables(scene, given, free)  # before anything runs
     require_pymoo()
@@ -479,7 +479,7 @@ def _check(options: argparse.Namespace) -> None:
         others |= {"--maximize": options.maximize, "--approach": options.approach}
         others |= {"--capture-range": options.capture_range, "--candidates": options.candidates}
         others |= {"--window": options.window, "--allow-leaving": options.allow_leaving}
-        others |= {"--hold-at-be": options.hold_at_be}
+        others |= {"--allow-passing": options.allow_passing}
         others |= {"--from": options.earlier, "--resume": options.resume}
         others |= {"--calibrated": options.calibrated}
         for name, value in others.items():

@@ -96,7 +96,8 @@ class Requirements:
     allow_leaving : bool
         True to accept a capture that the tip has left again at ``run.t_end``.
     hold_at_be : bool
-        True if a tip that is then further behind BE than the capture radius counts as having left.
+        True if a tip that is then further behind BE than the capture radius counts as having left:
+        it has flown through the target.
     """
 
     objectives: tuple[Measure, ...]
@@ -107,7 +108,7 @@ class Requirements:
     area: tuple[Axis, ...] = ()
     least_range: float = 0.0
     allow_leaving: bool = False
-    hold_at_be: bool = False
+    hold_at_be: bool = True
 
     def __post_init__(self) -> None:
         """Raise SceneError if a capture range is required or an objective, but there is no area."""
@@ -252,8 +253,7 @@ class Evaluator:
         self._archive, self._kind = archive or Archive(), kind
         self.history: list[Candidate] = []
         self._columns = (*result_columns(check=False, limited=False), *_ALSO)
-        wanted = ("verdict", "left_again", "nearest_distance", *LOAD_KEYS)
-        self._at_left, self._at_behind = map(self._columns.index, ("left_again", *_ALSO))
+        wanted = ("verdict", "left_again", *_ALSO, "nearest_distance", *LOAD_KEYS)
         self._wanted = [self._columns.index(name) for name in wanted]
 
     def under(self, requirements: Requirements) -> Evaluator:
@@ -305,22 +305,17 @@ class Evaluator:
         for chunk, task, done in zip(
             chunks, tasks, answers(self._executor, work, tasks), strict=True
         ):
-            if self._requirements.hold_at_be:
-                done = [self._passed_as_left(row) for row in done]
             results = [tuple(row[k] for k in self._wanted) for row in done]
             self._archive.add(self._kind, names, task, results)
             for k, result in zip(chunk, results, strict=True):
                 found[k] = result
-        verdicts, left, nearest, *loads = zip(*(each for each in found if each), strict=True)
+        # what happened is kept; what is wanted is asked of it here
+        verdicts, left, behind, nearest, *loads = zip(*(e for e in found if e), strict=True)
         by_load = np.array(loads, dtype=float).T
-        lefts = [bool(each) for each in left]
+        holds = self._requirements.hold_at_be
+        lefts = [bool(x) or (holds and y > 0.0) for x, y in zip(left, behind, strict=True)]
         violations = self._violations(verdicts, lefts, np.array(nearest, dtype=float), by_load)
         return _Runs(list(verdicts), lefts, by_load, violations)
-
-    def _passed_as_left(self, row: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return the results of a run in which a tip behind BE counts as having left."""
-        left = row[self._at_left] or row[self._at_behind] > 0.0
-        return (*row[: self._at_left], bool(left), *row[self._at_left + 1 :])
 
     def _violations(
         self,

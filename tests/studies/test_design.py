@@ -379,7 +379,7 @@ def test_a_buffer_that_lets_go_again_is_no_design(servicer):
 def test_a_row_that_ends_inside_of_the_target_says_so(tmp_path, capsys):
     """Through an opening twice as wide as the tip nothing holds it: by hand, where it is."""
     wide = [*COMMAND, "--set=cone.R_c=30 mm", f"--out={tmp_path}"]
-    assert main(wide) == 0
+    assert main([*wide, "--allow-passing"]) == 0
     kept = json.loads((tmp_path / "design.json").read_text())["rows"][0]
     scene = load_scene(tmp_path / "design.yaml")
     last = simulate(scene).samples[-1]
@@ -389,10 +389,23 @@ def test_a_row_that_ends_inside_of_the_target_says_so(tmp_path, capsys):
     assert kept["behind"] == pytest.approx(-last["tip_axial"], rel=1e-3)
     said = f"at 1 s the tip is {-last['tip_axial'] * 1e3:.0f} mm behind BE, inside of the target"
     assert said in " ".join(capsys.readouterr().out.split())
-    assert main([*wide, "--hold-at-be"]) == 1
+    assert main(wide) == 1
     shown = " ".join(capsys.readouterr().out.split())
     assert "none is still captured at 1 s" in shown
     assert "has left again or is behind BE (a latch would hold it" in shown
+
+
+def test_what_happened_is_stored_and_what_is_wanted_is_asked_of_it(tmp_path, capsys):
+    """A design that accepts a tip behind BE, and from its runs one that does not: and back."""
+    wide = [*COMMAND, "--set=cone.R_c=30 mm"]
+    loose, strict, again = (str(tmp_path / name) for name in ("loose", "strict", "again"))
+    assert main([*wide, "--allow-passing", "--out", loose]) == 0
+    assert main([*wide, "--from", loose, "--out", strict]) == 1
+    assert main([*wide, "--from", strict, "--allow-passing", "--out", again]) == 0
+    rows = [
+        json.loads((tmp_path / n / "design.json").read_text())["rows"] for n in ("loose", "again")
+    ]
+    assert rows[1][0]["loads"]["max_buffer_force"] <= rows[0][0]["loads"]["max_buffer_force"] * 1.01
 
 
 def test_rows_keep_to_a_window_a_catalogue_and_a_damping_ratio(servicer):
