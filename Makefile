@@ -15,7 +15,7 @@ unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # Without bytecode each of the hundreds of processes of the tests would compile the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup develop lock run test test-all test-core test-nodes build/lint.log build/nodes.log
+.PHONY: help setup develop lock run test test-all test-core test-nodes
 .PHONY: test-generic test-numpy1 lint docs benchmark reproduction faults picture format clean test-plain
 
 help:
@@ -48,12 +48,9 @@ setup develop:
 run: setup
 	$(BIN)/capture-sim bench tilt_0 tilt_p10 tilt_m10 --out runs
 
-# Lint and the node tests, which mostly wait, run at the same time as the core tests; their logs are
-# printed at the end.
+# Lint and the node tests, which mostly wait, run at the same time as the core tests
 test: develop
-	@mkdir -p build
-	@$(MAKE) --no-print-directory --keep-going -j3 test-core build/lint.log build/nodes.log; \
-		status=$$?; cat build/lint.log build/nodes.log; exit $$status
+	@$(BIN)/python tools/run_tests.py
 
 # What tests/cases.py leaves out of `make test`
 test-all: develop
@@ -67,12 +64,6 @@ test-core: develop
 # A file with the nodes that it shares runs in one process.
 test-nodes: develop
 	$(BIN)/python -m pytest tests/nodes -n $(NODE_WORKERS) --dist loadfile --durations=20
-
-build/lint.log: develop
-	@$(MAKE) --no-print-directory lint >$@ 2>&1
-
-build/nodes.log: develop
-	@$(MAKE) --no-print-directory test-nodes >$@ 2>&1
 
 # Rounding differs from one processor to the next, most of all without fused multiply and add, and
 # tests must not depend on it. These are the tests that are most sensitive to it: each has failed for
