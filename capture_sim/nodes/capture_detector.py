@@ -78,6 +78,7 @@ class CaptureDetectorNode(BenchNode, RunPart):
             "empty to wait for a run",
         )
         self._waiting: list[tuple[Source, int, Values, int | None]] = []  # read, not evaluated
+        self._due: list[tuple[Source, int, Values, int | None]] = []  # ... before a hold
         self._warned = -math.inf  # s (wall), when the detector's warnings were looked at
         self._readers = {topic: MeasurementReader(topic) for topic in OF_A_BENCH}
         self._follower = Follower(self, CAPTURE_DETECTOR, self, list(RunSource))
@@ -133,6 +134,7 @@ class CaptureDetectorNode(BenchNode, RunPart):
         is_launched = run.info.source == RunSource.TRIAL
         is_launched = is_launched and run.info.announcer != self._follower.roll.id
         self._hold, self._doubts = HoldListener(), None
+        self._due.clear()
         self._evidence = Evidence(run.info.waived) if is_launched else None
         if is_launched:
             self._await_sources(run.name)
@@ -170,7 +172,8 @@ class CaptureDetectorNode(BenchNode, RunPart):
     def end(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Publish the final verdict and how many messages were sent; return what went wrong."""
         self._evaluate()
-        is_held = self._evidence is not None and self._hold.is_held_again(time.monotonic())
+        self._waiting.clear()  # of a chaser that may be held
+        is_held = self._evidence is not None and self._hold.may_be_held(time.monotonic())
         statuses = self._detector.finish(cut=self._follower.was_cut or is_held)
         if is_held and not statuses[-1].state.is_verdict:
             why = self._follower.failure or "the chaser was held"
@@ -227,8 +230,12 @@ class CaptureDetectorNode(BenchNode, RunPart):
         return [DiagnosticStatus("evaluation", Level.OK, text, values)]
 
     def _receive_hold(self, message: Any) -> None:
-        if self.run is not None:
-            self._hold.note(is_held=bool(message.data), now=time.monotonic())
+        if self.run is None:
+            return
+        if message.data:  # what has come before the hold is evaluated
+            self._due += self._waiting
+            self._waiting.clear()
+        self._hold.note(is_held=bool(message.data), now=time.monotonic())
 
     def _receive_force(self, data: bytes) -> None:
         if self.run is not None and self._evidence is not None:
@@ -236,7 +243,7 @@ class CaptureDetectorNode(BenchNode, RunPart):
 
     def _receive_measurement(self, topic: Topic, data: bytes) -> None:
         if self._evidence is not None:
-            if self._hold.is_held_again(time.monotonic()):
+            if self._hold.is_held:
                 return
             self._evidence.add(topic, data, time.monotonic_ns())
         measurement = self._input.read(topic, data)
@@ -256,12 +263,18 @@ class CaptureDetectorNode(BenchNode, RunPart):
         while count < len(self._waiting) < MAX_BATCH and self._follower.run is not None:
             count = len(self._waiting)
             super().serve()
-        if self._waiting and not self.in_callback:
+        if (self._waiting or self._due) and not self.in_callback:
             self.guarded(self._evaluate)()
 
     def _evaluate(self) -> None:
-        """Evaluate the measurements that wait for it; publish the statuses that result."""
-        waiting, self._waiting = self._waiting, []
+        """Evaluate the measurements that wait for it; publish the statuses that result.
+
+        While launcher/hold is silent they wait: its next message says whether the chaser is held.
+        """
+        waiting, self._due = self._due, []
+        if self._evidence is None or not self._hold.may_be_held(time.monotonic()):
+            waiting += self._waiting
+            self._waiting = []
         self._send_all([s for each in waiting for s in self._detector.measure(*each)])
         if waiting and (now := time.monotonic()) >= self._warned + WARNING_PERIOD:
             self._warned = now

@@ -94,34 +94,25 @@ class HoldReaders:
 class HoldListener:
     """launcher/hold as another node receives it: is the chaser held again after a release?
 
-    What a held chaser does decides nothing: the detector evaluates no measurement from then on.
-    A driver holds its chaser too when the messages stop, see :data:`HOLD_TIMEOUT`.
+    What a held chaser does decides nothing: the detector evaluates no measurement from then on.  A
+    driver holds its chaser too when the messages stop, see :data:`HOLD_TIMEOUT`; if they go on, the
+    launcher only stood still, and so did this node's knowledge.
     """
 
     def __init__(self) -> None:
         self._let_go = math.nan  # s, latest message that lets go
-        self._asked = math.nan  # s, last call of is_held_again
-        self._is_held = False
+        self.is_held = False  # it was let go, and a later message holds it
 
     def note(self, *, is_held: bool, now: float) -> None:
         """Note a message at ``now``, s."""
         if not is_held:
             self._let_go = now
         elif not math.isnan(self._let_go):
-            self._is_held = True
+            self.is_held = True
 
-    def is_held_again(self, now: float) -> bool:
-        """Return True if the chaser was let go, and is held at ``now``, s, or was before.
-
-        Call it with each measurement.  If the calls pause, this node stood still itself, and
-        messages of launcher/hold wait to be read.
-        """
-        pause = now - self._asked
-        if pause > 0.5 * HOLD_TIMEOUT:
-            self._let_go += pause
-        self._asked = now
-        self._is_held = self._is_held or now > self._let_go + HOLD_TIMEOUT
-        return self._is_held
+    def may_be_held(self, now: float) -> bool:
+        """Return True if the chaser is held again, or if the messages have stopped, at ``now``."""
+        return self.is_held or now > self._let_go + HOLD_TIMEOUT
 
 
 class HoldPublishers:

@@ -11,6 +11,7 @@ from capture_sim.launcher.state_machine import Launcher
 from capture_sim.trial.hold import (
     HOLD_PERIOD,
     HOLD_TIMEOUT,
+    HoldListener,
     HoldOutput,
     HoldPublishers,
     HoldReaders,
@@ -259,3 +260,18 @@ def test_publishers_of_the_hold_are_named():
     assert publishers.refusal(2.0) == "launcher/hold: published by a node that is not known yet"
     publishers.note(["/launcher", "/launcher"], 0, 2.1)
     assert "by /launcher and by /launcher: must be one node" in publishers.refusal(2.1)
+
+
+def test_a_listener_tells_a_hold_from_a_silence():
+    listener = HoldListener()
+    listener.note(is_held=True, now=0.0)
+    assert not listener.may_be_held(100.0)  # it was not let go yet
+    listener.note(is_held=False, now=100.0)
+    assert not listener.may_be_held(100.0 + HOLD_TIMEOUT)
+    assert listener.may_be_held(100.1 + HOLD_TIMEOUT)
+    listener.note(is_held=False, now=102.0)  # the launcher only stood still
+    assert not listener.may_be_held(102.1)
+    listener.note(is_held=True, now=103.0)
+    listener.note(is_held=False, now=103.1)
+    assert listener.is_held  # what comes after a hold decides nothing
+    assert listener.may_be_held(103.1)
