@@ -119,13 +119,13 @@ def quantity(text: str, unit: str) -> float:
     return value
 
 
-def in_unit(unit: str, allowed: Range = POSITIVE) -> Callable[[str], float]:
+def in_unit(unit: str) -> Callable[[str], float]:
     """Return a function for ``type=`` of an argument: a number that is converted to SI.
 
     The user may write a unit (``5 mm``); a number without a unit is in ``unit``.
     """
     return reader(
-        lambda text: _within(quantity(text, unit), allowed), f"a number {allowed}, in {unit}"
+        lambda text: _within(quantity(text, unit), POSITIVE), f"a number {POSITIVE}, in {unit}"
     )
 
 
@@ -161,13 +161,10 @@ def add_scene(parser: argparse.ArgumentParser, default: str) -> None:
     add_overrides(parser)
 
 
-def add_out(
-    parser: argparse.ArgumentParser, default: str, what: str = "write the results to this folder"
-) -> None:
-    """Add ``--out``, the folder of the results; ``what`` is its help text."""
-    parser.add_argument(
-        "--out", type=Path, default=Path(default), help=f"{what} (default: {default})"
-    )
+def add_out(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add ``--out``, the folder of the results."""
+    text = f"write the results to this folder (default: {default})"
+    parser.add_argument("--out", type=Path, default=Path(default), help=text)
 
 
 def folder_beside(source: str) -> Path:
@@ -378,23 +375,19 @@ def add_resume(parser: argparse.ArgumentParser, study: str) -> None:
     )
 
 
-def add_workers(parser: argparse.ArgumentParser, *, scheduler: bool = True) -> None:
-    """Add ``--workers``, the number of processes for the runs of a study.
-
-    Unless ``scheduler`` is False, ``--scheduler``, the address of a Dask cluster, is added too.
-    """
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """Add ``--workers`` and ``--scheduler``, the processes or the Dask cluster of a study."""
     parser.add_argument(
         "--workers",
         type=whole(WORKERS),
         metavar="N",
         help="run in N processes (default: one per core)",
     )
-    if scheduler:
-        parser.add_argument(
-            "--scheduler",
-            metavar="ADDRESS",
-            help="run on this Dask cluster, e.g. tcp://127.0.0.1:8786",
-        )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="run on this Dask cluster, e.g. tcp://127.0.0.1:8786",
+    )
 
 
 def is_recording(source: str) -> bool:
@@ -482,7 +475,6 @@ def open_run(
     overrides: Sequence[str] = (),
     release: float | None = None,
     waived: Sequence[str] = (),
-    judges: bool = True,
 ) -> Run:
     """Read a recorded run, check its plausibility, and print its problems.
 
@@ -500,9 +492,6 @@ def open_run(
         From :func:`add_release`.
     waived
         Names of plausibility rules that are not checked.
-    judges
-        True to raise an error if the run breaks a rule of grade *refused*; False for a run that is
-        drawn but not evaluated.
 
     Returns
     -------
@@ -512,8 +501,8 @@ def open_run(
     Raises
     ------
     RecordingError
-        The recording cannot be read or contains several runs, or, with ``judges``, the run breaks
-        a rule of grade *refused*.
+        The recording cannot be read or contains several runs, or the run breaks a rule of
+        grade *refused*.
     SceneError
         The scene or a change to it is invalid, or a name in ``waived`` is not a rule.
     """
@@ -526,7 +515,7 @@ def open_run(
         run = run_of(bag, load_scene_text(bag.scene_text, overrides))
     else:
         run = run_of(bag)
-    return _checked(run, path, waived, judges=judges)
+    return _checked(run, path, waived, judges=True)
 
 
 def _checked(run: Run, path: str, waived: Sequence[str], *, judges: bool) -> Run:
@@ -606,8 +595,11 @@ def open_or_simulate(
         exact samples.
     release
         From :func:`add_release`.
-    waived, judges
-        See :func:`open_run`.
+    waived
+        Names of plausibility rules that are not checked.
+    judges
+        True to raise an error if the run breaks a rule of grade *refused*; False for a run that is
+        drawn but not evaluated.
     """
     if not is_recording(source):
         return _simulated(source)

@@ -52,7 +52,6 @@ def run_suite(
     scenes: Sequence[Scene],
     out: Path,
     *,
-    record: bool = True,
     rtf: float = 0.0,
     namespace: str = "",
 ) -> SuiteResult:
@@ -64,7 +63,7 @@ def run_suite(
 
     KeyboardInterrupt is raised after Ctrl-C, SIGTERM or SIGHUP, when all nodes have ended.
     """
-    consumers = [LAUNCHER, CAPTURE_DETECTOR, *([RECORDER] if record else [])]
+    consumers = [LAUNCHER, CAPTURE_DETECTOR, RECORDER]
     with tempfile.TemporaryDirectory(prefix="capture_sim_") as folder:
         files = []
         for number, scene in enumerate(scenes):
@@ -73,8 +72,7 @@ def run_suite(
             files.append(str(path))
         parameters: dict[str, dict[str, Any]] = {name: {} for name in (SIMULATOR, *consumers)}
         parameters[SIMULATOR] = {"scenes": files, "wait_for": consumers, "rtf": float(rtf)}
-        if record:
-            parameters[RECORDER] = {"out": str(out)}
+        parameters[RECORDER] = {"out": str(out)}
         status, processes = _run_nodes(parameters, SIMULATOR, Path(folder), namespace, out)
     return SuiteResult(status, [path for path in processes.recordings if path.is_file()])
 

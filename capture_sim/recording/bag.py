@@ -50,7 +50,6 @@ from capture_sim.recording.recorded_bench import (
     trace_in,
 )
 from capture_sim.recording.recorded_topics import Columns, RecordedTopics
-from capture_sim.recording.records import MAX_UNPACKED_RATIO
 from capture_sim.recording.write import (
     END_METADATA,
     REMAPS,
@@ -69,7 +68,6 @@ _T = TypeVar("_T")
 
 def read_bag(
     path: Path | str,
-    ratio: float = MAX_UNPACKED_RATIO,
     *,
     remaps: Mapping[str, str] | None = None,
     release: float | None = None,
@@ -84,10 +82,7 @@ def read_bag(
     Parameters
     ----------
     path
-        The file or folder.
-    ratio
-        Upper limit of the unpacked size, as a multiple of the file's size.  A file may unpack to
-        64 MiB in any case.
+        The file or folder.  A file may unpack to 100 times its size, and to 64 MiB in any case.
     remaps
         The topics that were recorded under a name other than the bench's: maps the bench's name to
         the recorded name, e.g. ``{"chaser/odom": "/mocap/rb1/odom"}``.  Names that the recorder
@@ -103,7 +98,7 @@ def read_bag(
         neither name or under both names.
     """
     path = Path(path)
-    contents = read_contents(path, ratio)
+    contents = read_contents(path)
     remap(path, contents, remaps or {})
     _leave_out_undefined(contents)
     return Bag(path, contents, release)

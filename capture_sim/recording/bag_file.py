@@ -80,25 +80,14 @@ class BagFile:
         self._topics[channel] = topic
         return channel
 
-    def add(
-        self,
-        channel: int,
-        log_time: int,
-        data: bytes,
-        publish_time: int,
-        sequence: int | None = None,
-    ) -> None:
-        """Write a serialised message to a channel; times are in ns.
-
-        ``sequence`` is the message's number in MCAP; None to number it next in its topic entry.
-        """
+    def add(self, channel: int, time: int, data: bytes) -> None:
+        """Write a serialised message to a channel; ``time`` is its log and publish time, ns."""
         topic, span = self._topics[channel], self.span
-        number = topic.count if sequence is None else sequence
-        self.writer.add_message(channel, log_time, data, publish_time, number)
+        self.writer.add_message(channel, time, data, time, topic.count)
         topic.count += 1
-        if span is None or not span[0] <= log_time <= span[1]:
-            first, last = span or (log_time, log_time)
-            self.span = min(first, log_time), max(last, log_time)
+        if span is None or not span[0] <= time <= span[1]:
+            first, last = span or (time, time)
+            self.span = min(first, time), max(last, time)
 
     def finish(self, custom: Mapping[str, str]) -> None:
         """Write rosbag2's metadata, the index and the summary; this ends the MCAP file.

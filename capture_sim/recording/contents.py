@@ -34,7 +34,6 @@ class Contents:
 
     types: dict[str, str] = field(default_factory=dict)  # message type by topic
     # quality of service by topic, YAML as rosbag2 writes it; empty when not recorded
-    qos: dict[str, str] = field(default_factory=dict)
     schemas: dict[str, str] = field(default_factory=dict)  # definition text by message type
     encodings: dict[str, str] = field(default_factory=dict)  # ... and its language, e.g. ros2msg
     # serialised messages by topic, in the order of their log times
@@ -50,10 +49,10 @@ class Contents:
     has_verified_end: bool = True
 
 
-def read_contents(path: Path, ratio: float = MAX_UNPACKED_RATIO) -> Contents:
+def read_contents(path: Path) -> Contents:
     """Read a recording, which is a file or a bag's folder, each file up to its first damage.
 
-    A file may unpack to ``ratio`` times its size, and to 64 MiB in any case.  Messages of topics
+    A file may unpack to 100 times its size, and to 64 MiB in any case.  Messages of topics
     that the suite does not know, e.g. of cameras, are read when they are first used.  The others
     are kept; MemoryLimitError if they need more than MEMORY_LIMIT (1 GiB) in all.  RecordingError
     if no file can be read.
@@ -64,11 +63,9 @@ def read_contents(path: Path, ratio: float = MAX_UNPACKED_RATIO) -> Contents:
     rejected: Counter[tuple[str, str]] = Counter()
     errors, memory = [], MemoryBudget(MEMORY_LIMIT.get())
     for file in files:
-        reader = _Reader(
-            contents, rejected, memory, lambda topic: UnreadMessages(files, ratio, topic)
-        )
+        reader = _Reader(contents, rejected, memory, lambda topic: UnreadMessages(files, topic))
         try:
-            for part in scan(file, ratio):
+            for part in scan(file, MAX_UNPACKED_RATIO):
                 if isinstance(part, Damage):
                     name = f"{file.name}: " if path.is_dir() else ""
                     contents.damage += (f"{name}{part}",)
@@ -151,8 +148,8 @@ class UnreadMessages(Sequence[bytes]):
     is their order.
     """
 
-    def __init__(self, files: Sequence[Path], ratio: float, topic: str) -> None:
-        self._files, self._ratio, self._topic = files, ratio, topic
+    def __init__(self, files: Sequence[Path], topic: str) -> None:
+        self._files, self._topic = files, topic
         self._count = 0
         self._messages: list[bytes] | None = None
         self.order: list[int] | None = None
@@ -175,7 +172,7 @@ class UnreadMessages(Sequence[bytes]):
         for file in self._files:
             reader = _Reader(contents, Counter(), memory, None, only=self._topic)
             with suppress(RecordingError):  # of a file that was not read the first time, either
-                for part in scan(file, self._ratio):
+                for part in scan(file, MAX_UNPACKED_RATIO):
                     if not isinstance(part, Damage):
                         reader.add(part)
                     memory.check(file)
@@ -201,7 +198,6 @@ def rename_topics(contents: Contents, recorded_names: Mapping[str, str]) -> None
         if is_there:
             raise RecordingError(f"remap {name}:={recorded_name}: both topics are recorded")
         contents.types[name] = contents.types.pop(recorded_name)
-        contents.qos[name] = contents.qos.pop(recorded_name)
         contents.messages[name] = contents.messages.pop(recorded_name)
         contents.log_times[name] = contents.log_times.pop(recorded_name)
 
@@ -244,7 +240,7 @@ class _Reader:
             elif isinstance(entry, Metadata):
                 self._contents.metadata[entry.name] = dict(entry.metadata)
         lists = self._lists
-        for channel, log_time, message, _, _ in record.messages:
+        for channel, log_time, message in record.messages:
             keep_message, keep_time = lists[channel]
             keep_message(message)
             keep_time(log_time)
@@ -268,7 +264,6 @@ class _Reader:
                 contents.schemas[schema.name] = text
                 contents.encodings[schema.name] = schema.encoding
         contents.types.setdefault(topic, "" if schema is None else schema.name)
-        contents.qos[topic] = channel.metadata.get("offered_qos_profiles", "")
         times = contents.log_times.setdefault(topic, [])
         if self._only and topic != self._only:
             self._lists[channel.id] = _discard, _discard

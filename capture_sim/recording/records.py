@@ -21,9 +21,9 @@ MESSAGE_COST = 100
 #: Log times from here on (ns) do not fit into ROS's clock.
 TIME_LIMIT = 1 << 63
 
-#: A message: channel, log time (ns), bytes, publish time (ns), sequence.  The library's ``Message``
-#: takes several times as long to make.
-StoredMessage = tuple[int, int, bytes, int, int]
+#: A message: channel, log time (ns), bytes.  The library's ``Message`` takes several times as long
+#: to make.
+StoredMessage = tuple[int, int, bytes]
 _FIRST_BYTES = frozenset(magic[:1] for magic in MAGICS)
 
 
@@ -81,7 +81,7 @@ def usable(messages: Sequence[StoredMessage], limit: int) -> Usable:
     kept: list[StoredMessage] = []
     rejected = []
     total = 0
-    for channel, log_time, data, publish_time, sequence in messages:
+    for channel, log_time, data in messages:
         if not 0 <= log_time < TIME_LIMIT:
             rejected.append((channel, f"log time {log_time} ns: must be 0 to 2^63 ns"))
             continue
@@ -94,5 +94,5 @@ def usable(messages: Sequence[StoredMessage], limit: int) -> Usable:
                 rejected.append((channel, "damaged compression"))
                 continue
             total += len(data)
-        kept.append((channel, log_time, data, publish_time, sequence))
+        kept.append((channel, log_time, data))
     return Usable(kept, [message[1] for message in kept], rejected, total)

@@ -202,8 +202,7 @@ def _contents_of_record(record: McapRecord, limit: int) -> RecordContents:
     if isinstance(record, Chunk):
         return _records_in(_unpacked(record, limit))
     if isinstance(record, Message):
-        fields = (record.channel_id, record.log_time, record.data)
-        return RecordContents((), [(*fields, record.publish_time, record.sequence)])
+        return RecordContents((), [(record.channel_id, record.log_time, record.data)])
     is_used = isinstance(record, Schema | Channel | Attachment | Metadata)
     return RecordContents((record,) if is_used else ())  # type: ignore[arg-type]
 
@@ -243,12 +242,12 @@ def _records_in(data: bytes) -> RecordContents:
     while position < end:
         start, opcode = position, data[position]
         if opcode == message_opcode:
-            _, length, channel, sequence, log_time, publish_time = head(data, start)
+            _, length, channel, _, log_time, _ = head(data, start)
             position = start + _HEAD.size + length
             if position > end or length < size - _HEAD.size:
                 raise EndOfFile
             body = data[start + size : position]
-            messages.append((channel, log_time, body, publish_time, sequence))
+            messages.append((channel, log_time, body))
         else:
             _, length = _HEAD.unpack_from(data, start)
             position = start + _HEAD.size + length

@@ -78,8 +78,7 @@ def _scan(path: Path, named: Path, size: int, limit: int) -> Iterator[RecordCont
         stored = reader.messages(reader.connections)
         while batch := list(islice(stored, _BATCH)):
             messages: list[StoredMessage] = [
-                (connection.id, log_time, bytes(data), log_time, 0)
-                for connection, log_time, data in batch
+                (connection.id, log_time, bytes(data)) for connection, log_time, data in batch
             ]
             found = usable(messages, limit)
             limit -= found.unpacked + sum(len(m[2]) + MESSAGE_COST for m in messages)

@@ -97,7 +97,7 @@ class RunWriter:
         if time is None:
             time = self.bag.span[1] if self.bag.span else EPOCH_NS
         try:
-            self.bag.add(self._channels[topic], time, data, time)
+            self.bag.add(self._channels[topic], time, data)
         except OSError:
             with self._checked():
                 raise
