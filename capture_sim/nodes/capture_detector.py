@@ -12,7 +12,7 @@ from typing import Any
 from capture_sim.detection.criteria import CaptureState, CaptureStatus
 from capture_sim.detection.detector import CaptureDetector
 from capture_sim.detection.measurements import REORDER, Source, Values
-from capture_sim.errors import SceneError, one_line
+from capture_sim.errors import CaptureSimError, SceneError, one_line
 from capture_sim.messages.convert import EPOCH_NS, rejected
 from capture_sim.messages.measurements import (
     OF_A_BENCH,
@@ -44,6 +44,8 @@ from capture_sim.trial.hold import HoldListener
 
 #: As many measurements are evaluated together at most: then other callbacks are due.
 MAX_BATCH = 200
+#: A trial without measurements fails after this time, s (wall), if its launcher waits that long.
+MAX_SOURCES_WAIT = 120.0
 #: The detector's warnings are looked at this often, s (wall).
 WARNING_PERIOD = 0.1
 CRITERION = {field.name: field for field in fields(Detector)}
@@ -140,16 +142,23 @@ class CaptureDetectorNode(BenchNode, RunPart):
             self._await_sources(run.name)
 
     def _await_sources(self, name: str) -> None:
-        """Wait until the measurements of a trial arrive, or SOURCES_TIMEOUT has passed.
+        """Wait until the measurements of a trial arrive; CaptureSimError after MAX_SOURCES_WAIT.
 
         The launcher does not let the chaser go before this node is ready.  On a busy machine this
         node can discover a driver seconds after the launcher has, and without poses from before
         the contact it gives no verdict.  ``name`` is the trial's, for the warnings.
         """
-        self.wait(lambda: self._follower.has_ended or not self._unseen(), SOURCES_TIMEOUT)
-        for topics in self._unseen():
-            names = " or ".join(topic.name for topic in topics)
-            self.get_logger().warning(f"{name}: no measurement of {names} yet")
+
+        def is_over() -> bool:
+            return self._follower.has_ended or not self._unseen()
+
+        if self.wait(is_over, SOURCES_TIMEOUT):
+            return
+        missing = [" or ".join(topic.name for topic in topics) for topics in self._unseen()]
+        text = f"{name}: no measurement of {' and '.join(missing)} yet"
+        self.get_logger().warning(f"{text}: this node joins once there is one")
+        if not self.wait(is_over, MAX_SOURCES_WAIT):
+            raise CaptureSimError(f"{text}, after {MAX_SOURCES_WAIT:g} s")
 
     def _unseen(self) -> list[tuple[Topic, ...]]:
         """Return, for each source of measurements that is missing, the topics that can give it.
@@ -235,6 +244,8 @@ class CaptureDetectorNode(BenchNode, RunPart):
         if message.data:  # what has come before the hold is evaluated
             self._due += self._waiting
             self._waiting.clear()
+        else:
+            self._follower.begin()
         self._hold.note(is_held=bool(message.data), now=time.monotonic())
 
     def _receive_force(self, data: bytes) -> None:
@@ -270,7 +281,10 @@ class CaptureDetectorNode(BenchNode, RunPart):
         """Evaluate the measurements that wait for it; publish the statuses that result.
 
         While launcher/hold is silent they wait: its next message says whether the chaser is held.
+        They also wait for the begin of the run.
         """
+        if not self._follower.is_on:
+            return
         waiting, self._due = self._due, []
         if self._evidence is None or not self._hold.may_be_held(time.monotonic()):
             waiting += self._waiting

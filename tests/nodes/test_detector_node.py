@@ -134,8 +134,7 @@ def test_criteria_are_described_set_and_recorded(start, tmp_path, capfd):
 def test_a_trial_waits_until_the_detector_has_measurements(start, client, make_bench):
     """Else a chaser is let go whose approach it misses, and there is no verdict."""
     reports = client.listen(ROLL)
-    patient = "node.SOURCES_TIMEOUT = 3600.0"
-    detector = start("capture_detector", patient, min_dwell=0.3)
+    detector = start("capture_detector", "node.SOURCES_TIMEOUT = 0.0", min_dwell=0.3)
     wait_until(lambda: reports)
 
     def states():
@@ -146,7 +145,7 @@ def test_a_trial_waits_until_the_detector_has_measurements(start, client, make_b
     launcher = make_bench("launcher", [RUN_INFO])
     make = Messages()
     launcher.send(RUN_INFO, make.serialise(make.run_info(run)))
-    detector.wait_for("evaluated by min_dwell")
+    detector.wait_for("this node joins once there is one")
     # a detector that does not wait for measurements joins before it answers
     client.await_answers_of("/capture_detector")
     assert states() == {FREE}

@@ -28,3 +28,10 @@ def test_killed_nodes_are_named_and_missed_by_no_later_trial(start, client, tmp_
             assert (status, result.verdict) == (SUCCEEDED, "captured"), result.reason
             assert result.complete, list(result.problems)
             assert result.recording
+        # killed while no trial is on: the new one has never seen the one that it replaces
+        for role in ("capture_detector", "recorder"):
+            session.kill(role)
+            session.restart(role)
+            status, result = session.goal(0.0, name=f"{role} again").result()
+            assert (status, result.verdict) == (SUCCEEDED, "captured"), result.reason
+            assert result.complete, list(result.problems)

@@ -126,7 +126,10 @@ def test_a_node_is_ready_once_it_has_heard_all_and_begins_once_all_are_ready(nod
 
 
 def test_a_trial_does_not_begin_by_what_drivers_send_in_any_case(node):
-    """The recorder, which is slow, would miss the detector's criteria; of a simulator it begins."""
+    """The recorder, which is slow, would miss the detector's criteria; of a simulator it begins.
+
+    But what they send is taken once this node is ready: the launcher may then let go.
+    """
     part = Part(node)
     following = Follower(node, "capture_detector", part, list(RunSource))
     heard = []
@@ -138,22 +141,50 @@ def test_a_trial_does_not_begin_by_what_drivers_send_in_any_case(node):
         (),
         source=RunSource.TRIAL,
         announcer="/launcher#1",
-        participants=sorted((following.roll.id, OTHER, "/recorder#1")),
+        participants=sorted((following.roll.id, OTHER, "/viewer#1")),
     )
-    node.publishers += ["/launcher", "/recorder"]
+    node.publishers += ["/launcher", "/viewer"]
     node.at(1.0, lambda: node.hear(RUN_INFO, node.messages.run_info(run)))
-    for t in (2.0, 3.0, 8.0):
+    for t in (1.2, 2.0, 3.0, 8.0):
         node.at(t, lambda t=t: node.hear(CHASER_POSE, t))
-    for who in (OTHER, "/recorder#1"):
+    for who in (OTHER, "/viewer#1"):
         node.at(1.5, lambda who=who: node.hear(ROLL, part_of(FREE, participant=who)))
     ready = partial(part_of, READY, run_key(run))
     node.at(2.5, lambda: node.hear(ROLL, ready(OTHER)))
-    node.at(7.0, lambda: node.hear(ROLL, ready("/recorder#1")))
+    node.at(7.0, lambda: node.hear(ROLL, ready("/viewer#1")))
     node.at(12.0, node.end_request.set)
     with pytest.raises(KeyboardInterrupt):
         following.work()
     assert part.begun == pytest.approx(7.0, abs=0.1)
-    assert heard == [8.0]
+    assert heard == [2.0, 3.0, 8.0]
+
+
+def test_a_node_that_replaces_a_killed_one_does_not_wait_for_it(node):
+    """DDS reports the killed one for 12 s, and the launcher does not wait for it any longer."""
+    part = Part(node)
+    following = Follower(node, "capture_detector", part, list(RunSource))
+    following.follow(CHASER_POSE, lambda message: None)
+    following.join()
+    own = following.roll.id
+    killed = own.partition("#")[0] + "#0"
+    run = RunDescription.of(
+        load_scene("tilt_0"),
+        "a trial",
+        (),
+        source=RunSource.TRIAL,
+        announcer=OTHER,
+        participants=sorted((killed, own, OTHER, "/viewer#1")),
+    )
+    node.publishers += ["/launcher", "/viewer"]
+    node.at(1.0, lambda: node.hear(RUN_INFO, node.messages.run_info(run)))
+    for who in (OTHER, "/viewer#1"):
+        node.at(1.5, lambda who=who: node.hear(ROLL, part_of(FREE, participant=who)))
+    node.at(4.0, following.begin)  # the launcher has let go, whatever the recorder has said
+    node.at(12.0, node.end_request.set)
+    with pytest.raises(KeyboardInterrupt):
+        following.work()
+    assert next(t for t, state in reports(node) if state == READY) == pytest.approx(1.5, abs=0.1)
+    assert part.begun == pytest.approx(4.0, abs=0.1)
 
 
 def test_who_does_not_join_is_named_and_the_run_begins(node, following):

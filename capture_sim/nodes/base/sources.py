@@ -24,8 +24,8 @@ MAX_LAG = 0.5
 #: Number of publications over which the shortest delay is taken: a driver may restart with another
 #: clock.
 LAG_PERIODS = 60
-#: A trial starts without measurements after this time, s (wall), e.g. where cameras see only the
-#: cone.
+#: A source without measurements is reported after this time, s (wall).  A recording of a trial then
+#: begins, e.g. where cameras see only the cone.
 SOURCES_TIMEOUT = 3.0
 
 

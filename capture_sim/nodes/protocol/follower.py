@@ -121,7 +121,7 @@ class _Participation:
         self.streams = Completeness([SIMULATOR] if run.simulated else [], followed)
         self.counts: Any = None  # StreamCounts by which the simulator has ended it
         self.failure = ""  # why the launcher has ended a trial early, if it has
-        self.has_begun = self.has_ended = False
+        self.is_ready = self.has_begun = self.has_ended = False
         self.is_closed = False  # the announcer has announced that no run is on
         self.since = time.monotonic()
         # Polls since a message or a sign of the announcer. Each poll reads waiting messages even if
@@ -193,9 +193,9 @@ class Follower:
     ) -> None:
         """Subscribe to a stream; in each run, count its messages and pass them to ``callback``.
 
-        With ``raw`` both functions receive a message's bytes.  Messages of a trial that arrive
-        before this node has begun it are not counted.  ``watch`` is called with every message
-        outside of runs, and in runs that are not simulated.
+        With ``raw`` both functions receive a message's bytes.  Messages of a trial are taken from
+        the moment on at which this node reports that it is ready, as the launcher may then let go.
+        ``watch`` is called with every message outside of runs, and in runs that are not simulated.
         """
 
         def take(message: Any) -> None:
@@ -203,9 +203,10 @@ class Follower:
             if watch is not None and (present is None or not present.run.simulated):
                 watch(message)
             if present is not None:
-                if not present.has_begun:
-                    if present.run.info.source == RunSource.TRIAL:
-                        return  # drivers send in any case: nothing says that all have joined
+                if present.run.info.source == RunSource.TRIAL:
+                    if not present.is_ready:  # drivers send in any case
+                        return
+                else:
                     self._begin(present)
                 present.streams.add(topic, None)
                 present.note_message(topic)
@@ -337,11 +338,17 @@ class Follower:
             return pending(lambda part: part.is_ready(key))
 
         self._node.wait(lambda: is_late() or not pending(), JOIN_TIMEOUT)
+        present.is_ready = True
         self.roll.report(READY, run.info)
         if not self._node.wait(lambda: is_late() or not not_ready(), JOIN_TIMEOUT):
             names = ", ".join(not_ready())
             self._node.get_logger().warning(f"{run.name}: {names} has not joined the run")
         self._begin(present)
+
+    def begin(self) -> None:
+        """Begin the present run, whether or not all have joined: a launcher has let go."""
+        if self._present is not None and self._present.is_ready:
+            self._begin(self._present)
 
     def _begin(self, present: _Participation) -> None:
         """Begin the run, unless it has begun already."""

@@ -222,16 +222,17 @@ class Roll:
     ) -> list[str]:
         """Return the nodes that have not been heard, or for whose part ``has`` returns False.
 
-        ``participants``: ids of the nodes to check.  The result contains full names, without this
-        node and without nodes that were present and have left the network.  It contains nodes that
-        were never present, because they may not have been discovered yet.
+        ``participants``: ids of the nodes to check.  The result contains full names, without those
+        of nodes that were present and have left the network.  It contains nodes that were never
+        present, because they may not have been discovered yet; but no node of this node's own name,
+        which this node replaces if it was killed.
         """
         return [
             node_of(id_)
             for id_ in participants
             if not (id_ in self.parts and has(self.parts[id_]))
             and self.may_be_there(id_)
-            and id_ != self.id
+            and node_of(id_) != node_of(self.id)
         ]
 
     def free(self, source: RunSource) -> list[RollPart]:
