@@ -223,6 +223,16 @@ def _joints_times(slide: float, hinge: float) -> Callable[[Any, float], None]:
     return change
 
 
+def off_zero(stroke: float, torsion: float) -> Callable[[Any, float], None]:
+    """Return a change that adds to what the encoders of the buffer show, m and rad."""
+
+    def change(message: Any, _: float) -> None:
+        offsets = [stroke if name == "buffer_slide" else torsion for name in message.name]
+        message.position = message.position + offsets
+
+    return change
+
+
 def _stuck(since: float) -> Callable[[Any, float], None]:
     def change(message: Any, t: float) -> None:
         if t >= since:
@@ -295,6 +305,7 @@ CHANGES: dict[str, Callable[[Iterable[Record]], Records]] = {
     "encoder_in_mm": lambda r: changed(r, JOINTS, _joints_times(1e3, 1.0)),
     "encoder_inverted": lambda r: changed(r, JOINTS, _joints_times(-1.0, 1.0)),
     "joints_exchanged": lambda r: changed(r, JOINTS, _joints_exchanged),
+    "encoder_off_zero": lambda r: changed(r, JOINTS, off_zero(-3e-3, 30e-3)),
     "encoder_stuck": lambda r: changed(r, JOINTS, _stuck(-np.inf)),
     "encoder_stuck_in_flight": lambda r: changed(r, JOINTS, _stuck(1.5)),
     "cell_drifts": lambda r: changed(r, CELL, _drifting),

@@ -46,6 +46,7 @@ from capture_sim.detection.nearest import ClosestApproach
 from capture_sim.detection.noise import NoiseEstimate, third_difference
 from capture_sim.detection.smoother import MeasuredTip, TipPath
 from capture_sim.dynamics.model.trig import wrapped_angle
+from capture_sim.plausibility.signals import AWAY, MIN_REST, N_REST, zero_of, zero_text
 from capture_sim.scene.geometry import tip_motion
 from capture_sim.scene.parts import Scene
 
@@ -150,6 +151,10 @@ class CaptureDetector:
         self._last: tuple[Observation, MeasuredTip] | None = None
         self._buffer_noise = (NoiseEstimate(), NoiseEstimate())
         self._buffer: deque[tuple[float, float, float]] = deque(maxlen=_N_AVERAGED)
+        self._at_rest: deque[tuple[float, float]] = deque(maxlen=N_REST)  # m, rad
+        self._n_at_rest, self._was_near = 0, False
+        #: What the buffer's encoders show at rest, m and rad; it is subtracted.
+        self.buffer_zero = (0.0, 0.0)
 
     @property
     def delay(self) -> float:
@@ -192,6 +197,8 @@ class CaptureDetector:
             lines.append(
                 f"nothing is evaluated: no measurement of the {names} for {STALE / 1e9:g} s"
             )
+        if zero := zero_text(self.buffer_zero):
+            lines.append(f"{Source.BUFFER.value}: {zero}")
         return [*lines, *self.counts.warnings]
 
     def measure(
@@ -284,6 +291,10 @@ class CaptureDetector:
         This is the part of the pipeline after the gates and the aligner.
         """
         tip = self._tip(observation)
+        self._note_zero(observation, tip)
+        if any(self.buffer_zero):
+            observation = self._from_zero(observation)
+            tip = self._tip(observation)
         if self._last is None:
             self._memory.since = observation.t  # a bench's clock may count from 1970
         self._last = (observation, tip)
@@ -296,6 +307,26 @@ class CaptureDetector:
         for place in places:
             self._evaluate(place)
         return self._status(observation, tip)
+
+    def _note_zero(self, observation: Observation, tip: MeasuredTip) -> None:
+        """Update the zero of the buffer while the tip is away from the walls.
+
+        Once the tip has been near them in the approach, the zero stays as it is.
+        """
+        if self._was_near and self._memory.has_approached:
+            return
+        is_away = _wall_gap(self._criteria, *tip.rigid)[0] > AWAY
+        self._was_near = not is_away
+        if is_away:
+            self._at_rest.append((observation.buffer[0], observation.buffer[1]))
+            self._n_at_rest += 1
+        if not is_away or self._n_at_rest % MIN_REST == 0:
+            self.buffer_zero = zero_of(list(self._at_rest), self._criteria.rest_length)
+
+    def _from_zero(self, observation: Observation) -> Observation:
+        stroke, torsion, *rates = observation.buffer
+        zero = self.buffer_zero
+        return observation._replace(buffer=(stroke - zero[0], torsion - zero[1], *rates))
 
     @property
     def _state(self) -> CaptureState:
@@ -418,7 +449,8 @@ class CaptureDetector:
         if self._state is not CaptureState.APPROACH or not memory.has_approached:
             return
         unseen = self._aligner.values_between(Source.BUFFER, before.t, after.t)
-        strokes = [(stroke, torsion) for stroke, torsion, *_ in unseen]
+        zero = self.buffer_zero
+        strokes = [(stroke - zero[0], torsion - zero[1]) for stroke, torsion, *_ in unseen]
         if any(self._is_pushed(strokes[: k + 1]) for k in range(len(strokes))):
             _enter(memory, CaptureState.CONTACT, Cause.AT_CONE, after.t, 0.0)
         else:

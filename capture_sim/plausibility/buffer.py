@@ -10,7 +10,7 @@ import numpy as np
 from capture_sim.plausibility.momentum import spring_ratio
 from capture_sim.plausibility.motion import N_SMOOTH, MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
-from capture_sim.plausibility.signals import smooth
+from capture_sim.plausibility.signals import smooth, zero_text
 
 #: Least depth of the tip in a wall that contradicts the buffer, m.  Errors of the base frames and
 #: noise make up to about 2 mm.
@@ -114,6 +114,23 @@ def _deepest(motion: MeasuredMotion, stroke: np.ndarray, torsion: np.ndarray) ->
     smoothed = smooth(known, N_SMOOTH)
     smoothed = smoothed[np.isfinite(smoothed)]
     return float(smoothed.max(initial=0.0))
+
+
+@rule(
+    "buffer_zero",
+    Grade.NOTED,
+    compares="median of the last 200 states of the buffer at which the tip is > 10 mm from the "
+    "walls, before the first contact, with 0",
+    threshold="> 0.05 mm at the tip and > 5 standard errors",
+    reason="a contact begins at `max_contact_gap`, 0.2 mm; the zero is subtracted wherever the "
+    "buffer is evaluated",
+    needs_scene=True,
+    needs_poses=True,
+)
+def buffer_zero(motion: MeasuredMotion) -> Iterator[Said]:
+    """Yield a finding if the encoders of the buffer are not at 0 while it is at rest."""
+    if motion.buffer is not None and (text := zero_text(motion.zero)):
+        yield Said(motion.buffer.topic, text, zero=motion.zero)
 
 
 def _contradicted(motion: MeasuredMotion, kind: str) -> Iterator[tuple[str, Contradiction]]:

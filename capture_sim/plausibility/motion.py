@@ -13,7 +13,7 @@ import numpy as np
 
 from capture_sim.plausibility.axes import FORCE_FRAMES, frame_of
 from capture_sim.plausibility.measured import Deflections, Forces, Measured, Poses
-from capture_sim.plausibility.signals import baseline, noise, onset, smooth
+from capture_sim.plausibility.signals import AWAY, baseline, noise, onset, smooth, zero_of
 from capture_sim.scene.parts import Scene
 
 #: Values are interpolated only between measurements that are at most this far apart, s.
@@ -32,8 +32,6 @@ _CLEAR = 3.0
 MIN_DEFLECTION = 3e-4
 #: A tip this close to a wall may touch it, m: base frames are no better.
 _NEAR = 3e-3
-#: A tip that is further than this from the walls does not touch them, m.
-_AWAY = 1e-2
 
 
 class PosePair(NamedTuple):
@@ -168,10 +166,26 @@ class MeasuredMotion:
         u, first = np.unique(buffer.t[kept], return_index=True)
         inside = _is_covered(t, u)
         stroke, torsion = (
-            np.where(inside, np.interp(t, u, x[kept][first]), np.nan)
-            for x in (buffer.stroke, buffer.torsion)
+            np.where(inside, np.interp(t, u, x[kept][first]) - zero, np.nan)
+            for x, zero in zip((buffer.stroke, buffer.torsion), self.zero, strict=True)
         )
         return stroke, torsion
+
+    @cached_property
+    def zero(self) -> tuple[float, float]:
+        """What the buffer's encoders show at rest before the first contact: m, rad.
+
+        See :func:`capture_sim.plausibility.signals.zero_of`.  0 without a scene or poses.
+        """
+        if self.buffer is None or self.scene is None or self.pair is None:
+            return 0.0, 0.0
+        kept = self.buffer.is_measured
+        t, values = self.buffer.t[kept], self.buffer.values[kept]
+        order = np.argsort(t, kind="stable")
+        t, values = t[order], values[order]
+        gap = np.interp(t, self.smooth_times, self.stiff_gap)
+        before = (t >= self.pair.t[0]) & (t <= self.pair.t[self.approach][-1])
+        return zero_of(values[before & (gap > AWAY)], self.scene.rest_length)
 
     def depth(self, stroke: np.ndarray, torsion: np.ndarray) -> np.ndarray:
         """Return the depth of the tip in a wall, (n,), m, the larger of those in both walls.
@@ -297,7 +311,7 @@ class MeasuredMotion:
         if self.pair is not None and len(self.stiff_depth):
             depth, t = self.stiff_depth, self.smooth_times
             # a tip that begins at the wall shows no begin of a contact
-            away = depth < -(_AWAY + 6.0 * self.pose_noise)
+            away = depth < -(AWAY + 6.0 * self.pose_noise)
             entered = (depth[1:] > 0.0) & np.isfinite(depth[:-1]) & (np.diff(t) < MAX_GAP)
             entered &= np.logical_or.accumulate(away)[:-1]
             if entered.any():

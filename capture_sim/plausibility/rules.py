@@ -27,6 +27,7 @@ class Said(NamedTuple):
     topic: str  # or two topics, joined by " and "
     text: str  # value, unit, expectation, and what to do
     messages: int | None = None  # number of messages concerned; None: all of the topic
+    zero: tuple[float, float] = (0.0, 0.0)  # of stroke (m) and torsion (rad), to be subtracted
 
 
 Check = Callable[[MeasuredMotion], Iterable[Said]]
@@ -54,6 +55,7 @@ class Doubt:
     topic: str  # whose messages are doubted; or two topics, joined by " and "
     text: str  # value, unit, expectation, and what to do
     messages: int | None = None  # number of messages concerned; None: all of the topic
+    zero: tuple[float, float] = (0.0, 0.0)  # of stroke (m) and torsion (rad), to be subtracted
 
     @property
     def grade(self) -> Grade:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -84,6 +85,43 @@ def baseline(t: np.ndarray, values: np.ndarray) -> np.ndarray:
     # blocks from the middle of those before
     ahead = (index + 0.5) / size - (block - 0.5 * _N_BLOCKS)
     return np.asarray(level[block] + rate[block] * ahead[:, None])
+
+
+#: The buffer is at rest while the tip, as if the buffer were rigid, is this far from the walls, m.
+AWAY = 1e-2
+#: The zero of an encoder is the median of this many states at rest; it is not known from fewer
+#: than the second number.
+N_REST, MIN_REST = 200, 20
+#: A zero up to this, m at the tip, is left as it is: a quarter of the gap that is a contact.
+MIN_ZERO = 5e-5
+
+
+def zero_of(
+    deflections: Sequence[tuple[float, float]] | np.ndarray, length: float
+) -> tuple[float, float]:
+    """Return what the buffer's encoders show at rest: stroke, m, and torsion, rad.
+
+    ``deflections`` are strokes (m) and torsions (rad) at rest, the newest last; ``length`` is the
+    distance from hinge to tip, m.  A zero that is not above both ``MIN_ZERO`` at the tip and five
+    standard errors counts as 0.
+    """
+    if len(deflections) < MIN_REST:
+        return 0.0, 0.0
+    values = np.array(deflections[-N_REST:])
+    middle = np.median(values, axis=0)
+    # of a median of normal noise; the deviation is robust too
+    deviation = 1.4826 * np.median(np.abs(values - middle), axis=0)
+    errors = 1.2533 * deviation / math.sqrt(len(values))
+    limit = np.maximum(5.0 * errors, [MIN_ZERO, MIN_ZERO / length])
+    stroke, torsion = np.where(np.abs(middle) > limit, middle, 0.0).tolist()
+    return stroke, torsion
+
+
+def zero_text(zero: tuple[float, float]) -> str:
+    """Return a zero of the buffer, from :func:`zero_of`, in words; '' if it is 0."""
+    parts = (("stroke", zero[0], "mm"), ("torsion", zero[1], "mrad"))
+    shown = [f"{name} {1e3 * value:+.3g} {unit}" for name, value, unit in parts if value]
+    return f"{' and '.join(shown)} at rest before the contact: taken out" if shown else ""
 
 
 def onset(t: np.ndarray, values: np.ndarray, least: float) -> tuple[float, float] | None:

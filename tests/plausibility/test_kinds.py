@@ -34,6 +34,7 @@ RULES_OF = {
     "encoder_in_mm": {"buffer_units"},
     "encoder_inverted": {"buffer_inverted"},
     "joints_exchanged": {"buffer_against_poses"},
+    "encoder_off_zero": {"buffer_zero"},
     "encoder_stuck": {"buffer_stuck"},
     "encoder_stuck_in_flight": {"buffer_stuck"},
     "cell_drifts": set(),  # it is slow, and removed
@@ -76,6 +77,33 @@ def test_exchanged_joints_are_recognised(name, tmp_path):
     run = read_run(dirty.write(tmp_path, "plain", records), scene=scene)
     [doubt] = run.doubts
     assert "stroke and torsion look exchanged" in doubt.text
+
+
+@pytest.mark.parametrize(
+    "stroke, torsion",
+    [(2e-4, 0.0), (5e-4, 0.0), (2e-3, 0.0), (5e-3, 0.0), (-5e-3, 0.0), (0.0, 0.02), (-3e-3, -0.05)],
+)
+def test_the_zero_of_an_encoder_changes_no_result(stroke, torsion, scene, tmp_path):
+    """Before: 0.2 mm moved the first contact by 0.25 s, and -5 mm made the capture undecided."""
+    clean = dirty.clean("tilt_p10")
+    found = []
+    for name, offsets in (("clean", (0.0, 0.0)), ("off", (stroke, torsion))):
+        records = dirty.changed(clean, dirty.JOINTS, dirty.off_zero(*offsets))
+        (folder := tmp_path / name).mkdir()
+        run = read_run(dirty.write(folder, "plain", records), scene=scene)
+        series = checked(run).series
+        statuses = detect(run)
+        since = {s.state: s.t - s.time_in_state for s in statuses}
+        states = (since, statuses[-1].nearest_distance)
+        found.append((states, series["stroke"]["joint_states"], series["torsion"]["joint_states"]))
+    [doubt] = run.doubts
+    assert doubt.rule.name == "buffer_zero"
+    assert doubt.zero == pytest.approx((stroke, torsion), abs=1e-5)
+    (before, *series), (after, *zeroed) = found
+    assert after[0] == pytest.approx(before[0], abs=1e-6)
+    assert after[1] == pytest.approx(before[1], abs=2e-5)
+    for one, other in zip(series, zeroed, strict=True):
+        assert other.values == pytest.approx(one.values, abs=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["poses_in_mm", "w_first", "no_quaternion", "clocks"])
