@@ -36,7 +36,7 @@ SHARP = 0.01
 #: Scenes without a latch are also run to these multiples of t_end.
 LONGER, LONGEST = 3.0, 10.0
 
-CONVERGED, ENDED = "converged", "budget ended"
+CONVERGED, ENDED, SETTLED = "converged", "budget ended", "no gain left, one seed"
 
 
 @dataclass(frozen=True)

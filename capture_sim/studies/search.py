@@ -23,7 +23,16 @@ from capture_sim.studies.front import knee, layers, spread_points
 from capture_sim.studies.limit_costs import ACTIVE
 from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.refinement import CandidatePoints, Goal, refine
-from capture_sim.studies.rows import CONVERGED, ENDED, LONGER, LONGEST, DesignRow, detailed, lasting
+from capture_sim.studies.rows import (
+    CONVERGED,
+    ENDED,
+    LONGER,
+    LONGEST,
+    SETTLED,
+    DesignRow,
+    detailed,
+    lasting,
+)
 from capture_sim.studies.sweep import RTOL
 from capture_sim.studies.variables import FreeVariable, fields_of, own_value, with_values
 
@@ -37,6 +46,8 @@ _COVERAGE, _COVERAGE_SHARE = 800, 0.25
 _PASS, _SHORT_PASS = 200, 100
 #: Maximum number of passes over all rows, and of later passes from the points of both seeds.
 _PASSES, _MORE_PASSES = 3, 4
+#: Rows are settled after this many passes in a row without a gain.
+_IDLE = 2
 #: With dispersions, the share of the budget for the search without draws; the share of the budget
 #: for the costs of limits.
 _ALONE, RESERVE = 0.3, 0.12
@@ -230,12 +241,9 @@ class DesignSearch:
         count = 1
         if len(self._objectives) > 1:
             count = min(max(self._left // _RUNS_OF_ROW, _MIN_ROWS), _MAX_ROWS)
-        of_second = 0 if brief else runs // 2
+        second = 0 if brief else runs // 2
         n_ends = 0 if self._window is not None else 2
-        per_pass = int((self._left - of_second) / (count * 4.2 + n_ends))
-        if per_pass < _SHORT_PASS:
-            of_second, per_pass = 0, int(self._left / (count * 2.0 + 1.0))
-        per_pass = max(min(per_pass, _PASS if count > 1 else 2 * _PASS), 4)
+        of_second, per_pass = self._planned(count, second, n_ends)
         is_whole_front = count > 1 and self._window is None
         if is_whole_front or not points.violations.size or points.violations.min() > 0.0:
             # the ends come first, because the other rows lie between them
@@ -244,10 +252,37 @@ class DesignSearch:
         self._words = [ENDED] * len(self._goals)
         if points.violations.min() > 0.0:
             return ""  # none is feasible
+        if len(self._goals) != count:  # the rows are as many as the front has room for
+            of_second, per_pass = self._planned(len(self._goals), second, 0)
         gains = self._passes(within_budget, per_pass, of_second)
         if of_second and gains is not None:
             self._compare(within_budget, per_pass, of_second, gains)
+        if not brief:
+            self._spend(within_budget)
         return ""
+
+    def _planned(self, n_rows: int, second: int, n_ends: int) -> tuple[int, int]:
+        """Return the candidates for a second seed, and those for each row in a pass.
+
+        ``second`` are wanted for the second seed, which is left out if the passes would be short.
+        ``n_ends`` ends of the front are refined before.
+        """
+        per_pass = int((self._left - second) / (n_rows * 4.2 + n_ends))
+        if per_pass < _SHORT_PASS:
+            second, per_pass = 0, int(self._left / (n_rows * 2.0 + 1.0))
+        return second, max(min(per_pass, _PASS if n_rows > 1 else 2 * _PASS), 4)
+
+    def _spend(self, evaluate: Callable[[Sequence[Mapping[str, float]]], list[Candidate]]) -> None:
+        """Refine rows that no second seed has confirmed until the budget ends, or nothing gains."""
+        n_rows, idle, number = len(self._goals), 0, _PASSES
+        while self._words[0] == ENDED and self._left >= 4 * n_rows:
+            before, number = self.points.best_values(self._goals), number + 1
+            rng = np.random.default_rng([self._seed, number])
+            refine(self._goals, self.points, evaluate, min(self._left // n_rows, _PASS), rng)
+            gain = (before - self.points.best_values(self._goals)).max()
+            idle = 0 if gain > GAINED else idle + 1
+            if idle == _IDLE:
+                self._words = [SETTLED] * n_rows
 
     def _passes(
         self,
