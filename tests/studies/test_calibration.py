@@ -16,8 +16,8 @@ from capture_sim.run.series import Series
 from capture_sim.run.touches import located
 from capture_sim.scene.loading import load_scene, load_scene_text
 from capture_sim.scene.paths import changed, get
-from capture_sim.studies.calibration.calibrate import calibrate
-from capture_sim.studies.calibration.candidates import possible
+from capture_sim.studies.calibration.calibrate import Lacking, calibrate, lacking_text
+from capture_sim.studies.calibration.candidates import Score, possible
 from capture_sim.studies.calibration.checks import convergence, direction_words
 from capture_sim.studies.calibration.descent import EndedSearch, Found
 from capture_sim.studies.calibration.files import as_data
@@ -107,6 +107,15 @@ def test_what_the_model_lacks_is_named_with_its_size(name, more, true):
     assert not found.is_found
     assert name in named
     assert abs(named[name].estimate - true) < max(5.0 * named[name].error, 0.02 * true)
+
+
+def test_candidates_that_trials_do_not_tell_apart_are_named_together():
+    """A floor tilted by 0.05 mrad, which no candidate stands for, has two of about equal gain."""
+    score = Score("latch.damping", "damping of the latch", 36.2, 79.2, 0.13, "N s/m")
+    alone = Lacking(score, 79.24, 0.13, 34.1)
+    assert lacking_text(alone).startswith("the model lacks latch.damping = 79.24 +- 0.13 N s/m")
+    text = lacking_text(alone._replace(rivals=("latch.stiffness",)))
+    assert "lacks one of latch.damping, latch.stiffness, which these trials do not tell" in text
 
 
 def test_a_fit_whose_restarts_cannot_be_simulated_is_not_found():

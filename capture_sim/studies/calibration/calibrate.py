@@ -78,6 +78,8 @@ _LINEAR_FITS = 50
 _MAX_ADDED, _MAX_TRIED = 3, 2
 #: A further candidate is tried only if its gain exceeds this share of the best gain.
 _ALIKE = 0.3
+#: A candidate whose gain is this share of the best gain is not told from the best.
+_RIVAL = 0.7
 #: Largest number of search steps after a candidate is added.
 _ADDED_STEPS = 6
 #: A fit is bad if chi2 per measured value is above this.
@@ -113,6 +115,7 @@ class Lacking(NamedTuple):
     estimate: float  # SI
     error: float
     gain: float  # decrease of chi2
+    rivals: tuple[str, ...] = ()  # other candidates with about this gain, the largest first
 
 
 @dataclass(frozen=True, repr=False)
@@ -501,11 +504,12 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
     if candidates and candidates[0].gain > NAMED:
         lacking = _what_lacks(problem, at, candidates)
     for one in lacking:
-        advice = (
-            f"add it to the fit: {one.score.name}"
-            if one.score.can_be_fitted
-            else ("add it to the scene")
-        )
+        if one.rivals:
+            advice = "measure them apart: it may also be what no candidate stands for"
+        elif one.score.can_be_fitted:
+            advice = f"add it to the fit: {one.score.name}, if the bench can have it"
+        else:
+            advice = "add it to the scene, if the bench can have it"
         if one.score.name in SENSOR_ERRORS and one.score.name.startswith("delay"):
             advice += ", or set the clock right"
         findings.append(Finding("lacks", lacking_text(one), advice))
@@ -532,6 +536,12 @@ def lacking_text(one: Lacking) -> str:
         else (f"about {one.estimate:.3g}")
     )
     unit = "" if one.score.unit == "1" else f" {one.score.unit}"
+    if one.rivals:
+        names = ", ".join((one.score.name, *one.rivals))
+        return (
+            f"the model lacks one of {names}, which these trials do not tell apart: chi2 falls by "
+            f"{one.gain:.4g} with {one.score.name} = {value}{unit}"
+        )
     return (
         f"the model lacks {one.score.name} = {value}{unit} ({one.score.words}): "
         f"chi2 falls by {one.gain:.4g} with it"
@@ -557,11 +567,16 @@ def _block_finding(blocks: Sequence[BlockMean], problem: Problem) -> Finding | N
     )
 
 
+def _likely(candidates: Sequence[Score]) -> list[Score]:
+    """Return the candidates with gains above NAMED."""
+    return [score for score in candidates if score.gain > NAMED]
+
+
 def _what_lacks(problem: Problem, at: Linear, candidates: Sequence[Score]) -> list[Lacking]:
     """Add the parameters that the model lacks, one at a time, and return them."""
     found: list[Lacking] = []
     for _ in range(_MAX_ADDED):
-        likely = [score for score in candidates if score.gain > NAMED]
+        likely = _likely(candidates)
         likely = [s for s in likely if s.gain > _ALIKE * likely[0].gain][:_MAX_TRIED]
         if not likely:
             break
@@ -576,7 +591,12 @@ def _what_lacks(problem: Problem, at: Linear, candidates: Sequence[Score]) -> li
             break
         if at.chi2 > _BAD * problem.rows:
             best = _with(problem, at, best[0].score, grown=True) or best
-        found.append(best[0])
+        rivals = tuple(
+            each.name
+            for each in _likely(candidates)
+            if each.name != best[0].score.name and each.gain > _RIVAL * best[0].score.gain
+        )
+        found.append(best[0]._replace(rivals=rivals))
         problem, at = best[1:]
         candidates = scores(at, problem)
     return found

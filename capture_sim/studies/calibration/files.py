@@ -75,6 +75,7 @@ def as_data(found: Calibration, hashes: Mapping[str, str]) -> dict[str, Any]:
                 "estimate": one.estimate,
                 "error": one.error if math.isfinite(one.error) else None,
                 "gain": one.gain,
+                "rivals": list(one.rivals),
             }
             for one in found.lacking
         ],
