@@ -305,6 +305,7 @@ CHANGES: dict[str, Callable[[Iterable[Record]], Records]] = {
     "encoder_in_mm": lambda r: changed(r, JOINTS, _joints_times(1e3, 1.0)),
     "encoder_inverted": lambda r: changed(r, JOINTS, _joints_times(-1.0, 1.0)),
     "joints_exchanged": lambda r: changed(r, JOINTS, _joints_exchanged),
+    "hole_at_contact": lambda r: [each for each in r if not 2.3 < each.t < 3.3],
     "encoder_off_zero": lambda r: changed(r, JOINTS, off_zero(-3e-3, 30e-3)),
     "encoder_stuck": lambda r: changed(r, JOINTS, _stuck(-np.inf)),
     "encoder_stuck_in_flight": lambda r: changed(r, JOINTS, _stuck(1.5)),

@@ -11,6 +11,8 @@ from capture_sim.plausibility.rules import Grade, Said, rule
 
 #: A source that ends earlier than the others by this has stopped, s.
 MAX_SILENCE = 0.5
+#: A source has a gap if two of its measurements are further apart than this, s.
+_GAP = 0.75
 #: ... and by this many of its intervals.
 _MIN_INTERVALS = 20
 #: Ratio of two rates of a source above which its rate has changed.
@@ -143,6 +145,35 @@ def ends_early(motion: MeasuredMotion) -> Iterator[Said]:
                 channel.topic,
                 f"last message {early:.2f} s before that of the other sources: the source has "
                 "stopped; nothing is known of it from there",
+            )
+
+
+@rule(
+    "gap",
+    Grade.NOTED,
+    compares="time between two measurements of a source, before its last one",
+    threshold=f"> {_GAP} s and > {_MIN_INTERVALS} intervals; not checked before a release",
+    reason="longer than an occlusion at the contact (0.5 s); what happens in a gap, e.g. a first "
+    "contact, gets the time of its end",
+)
+def gap(motion: MeasuredMotion) -> Iterator[Said]:
+    """Yield a finding for each source with a gap: its longest one."""
+    if motion.measured.is_before_release:
+        return
+    for channel in motion.measured.channels:
+        t = np.unique(channel.t[channel.is_measured])
+        if len(t) < MIN_MESSAGES:
+            continue
+        steps = np.diff(t)
+        limit = max(_GAP, _MIN_INTERVALS * float(np.median(steps)))
+        if count := int((steps > limit).sum()):
+            k = int(steps.argmax())
+            begin, end = t[k] - t[0], t[k + 1] - t[0]
+            which = "" if count == 1 else f" (longest of {count} gaps)"
+            yield Said(
+                channel.topic,
+                f"no measurement from {begin:.2f} to {end:.2f} s after the first{which}: what "
+                "happened meanwhile is not known, and counts from the end of the gap",
             )
 
 

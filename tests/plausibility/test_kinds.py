@@ -34,6 +34,7 @@ RULES_OF = {
     "encoder_in_mm": {"buffer_units"},
     "encoder_inverted": {"buffer_inverted"},
     "joints_exchanged": {"buffer_against_poses"},
+    "hole_at_contact": {"gap"},
     "encoder_off_zero": {"buffer_zero"},
     "encoder_stuck": {"buffer_stuck"},
     "encoder_stuck_in_flight": {"buffer_stuck"},
