@@ -334,12 +334,14 @@ def watch_capture(criteria, memory, t, distance, unsure, axial, margin, outside_
 def approach_again(criteria, memory, t, distance, unsure):
     """Begin a new approach if the tip has come nearer to BE by the capture radius since a verdict.
 
+    Or if it has come into the capture zone.
     The closest approach of the run is kept; what decides on the new approach begins anew.
     """
     if memory.t_verdict != memory.since:
         memory.t_verdict, memory.farthest = memory.since, distance
     memory.farthest = max(memory.farthest, distance)
-    if memory.farthest - distance - GUARD * unsure > criteria.radius:
+    is_nearer = memory.farthest - distance - GUARD * unsure > criteria.radius
+    if is_nearer or distance + GUARD * unsure < criteria.radius:
         enter(memory, CaptureState.APPROACH, Cause.NO_CONTACT, t, 0.0)
         memory.nearest_now, memory.nearest_gap, memory.fastest = distance, math.inf, 0.0
         memory.zone_since = memory.still_since = math.nan
@@ -359,7 +361,7 @@ def decide(criteria, memory, place, has_rested, corner_time, outside_time):
     again once it has been outside for this long.
 
     A vehicle that flies may hold, back off or try again: its states *missed*, *rebound* and *stuck*
-    are left when the tip comes nearer to BE again by the capture radius.
+    are left when the tip comes nearer to BE again by the capture radius, from the approach side.
     """
     t, axial, lateral = place.t, place.axial, place.lateral
     var_a, var_l = place.axial_variance, place.lateral_variance
@@ -388,7 +390,7 @@ def decide(criteria, memory, place, has_rested, corner_time, outside_time):
     margin = GUARD * math.sqrt(var_a)
     if memory.state == CaptureState.CAPTURED:
         watch_capture(criteria, memory, t, distance, unsure, axial, margin, outside_time)
-    if memory.state > CaptureState.CAPTURED and criteria.flies > 0.0:
+    if memory.state > CaptureState.CAPTURED and criteria.flies > 0.0 and axial > 0.0:
         approach_again(criteria, memory, t, distance, unsure)
     if memory.state > CaptureState.CONTACT:
         return

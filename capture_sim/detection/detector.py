@@ -309,13 +309,13 @@ class CaptureDetector:
         return self._status(observation, tip)
 
     def _note_zero(self, observation: Observation, tip: MeasuredTip) -> None:
-        """Update the zero of the buffer while the tip is away from the walls.
+        """Update the zero of the buffer while the tip is ahead of the cone's mouth.
 
-        Once the tip has been near them in the approach, the zero stays as it is.
+        Once the tip has been in it in the approach, the zero stays as it is.
         """
         if self._was_near and self._memory.has_approached:
             return
-        is_away = _wall_gap(self._criteria, *tip.rigid)[0] > AWAY
+        is_away = tip.rigid[0] > self._scene.cone.mouth + AWAY
         self._was_near = not is_away
         if is_away:
             self._at_rest.append((observation.buffer[0], observation.buffer[1]))

@@ -119,8 +119,8 @@ def _deepest(motion: MeasuredMotion, stroke: np.ndarray, torsion: np.ndarray) ->
 @rule(
     "buffer_zero",
     Grade.NOTED,
-    compares="median of the last 200 states of the buffer at which the tip is > 10 mm from the "
-    "walls, before the first contact, with 0",
+    compares="median of the last 200 states of the buffer at which the tip is > 10 mm ahead of the "
+    "cone's mouth, before the closest approach, with 0",
     threshold="> 0.05 mm at the tip and > 5 standard errors",
     reason="a contact begins at `max_contact_gap`, 0.2 mm; the zero is subtracted wherever the "
     "buffer is evaluated",

@@ -183,9 +183,12 @@ class MeasuredMotion:
         t, values = self.buffer.t[kept], self.buffer.values[kept]
         order = np.argsort(t, kind="stable")
         t, values = t[order], values[order]
-        gap = np.interp(t, self.smooth_times, self.stiff_gap)
+        nothing = np.zeros(len(self.pair.t))
+        ahead = np.interp(t, self.pair.t, self._tip(nothing, nothing)[0])
         before = (t >= self.pair.t[0]) & (t <= self.pair.t[self.approach][-1])
-        return zero_of(values[before & (gap > AWAY)], self.scene.rest_length)
+        return zero_of(
+            values[before & (ahead > self.scene.cone.mouth + AWAY)], self.scene.rest_length
+        )
 
     def depth(self, stroke: np.ndarray, torsion: np.ndarray) -> np.ndarray:
         """Return the depth of the tip in a wall, (n,), m, the larger of those in both walls.

@@ -87,7 +87,8 @@ def baseline(t: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.asarray(level[block] + rate[block] * ahead[:, None])
 
 
-#: The buffer is at rest while the tip, as if the buffer were rigid, is this far from the walls, m.
+#: A tip that is further than this from the walls does not touch them, m.  Before its first contact
+#: the buffer is at rest while the tip, as if the buffer were rigid, is this far ahead of the mouth.
 AWAY = 1e-2
 #: The zero of an encoder is the median of this many states at rest; it is not known from fewer
 #: than the second number.

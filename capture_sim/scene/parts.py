@@ -209,6 +209,11 @@ class Cone(Checked):
         """R_c, L_c (m), cos beta and sin beta: a wall in :mod:`capture_sim.scene.geometry`."""
         return self.R_c, self.L_c, math.cos(self.half_angle), math.sin(self.half_angle)
 
+    @property
+    def mouth(self) -> float:
+        """Distance of the cone's mouth from BE along the axis, m."""
+        return self.L_c * math.cos(self.half_angle)
+
 
 @dataclass(frozen=True)
 class Material(Checked):

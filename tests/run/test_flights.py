@@ -115,7 +115,10 @@ def test_random_flights_have_the_verdict_of_their_motion():
         edges = np.flatnonzero(np.diff(np.concatenate([[0], near, [0]])))
         stays = [run.samples["t"][b - 1] - run.samples["t"][a] for a, b in edges.reshape(-1, 2)]
         was_captured = is_latched(run) or max(stays, default=0.0) > 0.22
-        passed = (run.samples["tip_axial"] < 0.0).any()
+        axial, lateral = run.samples["tip_axial"], run.samples["tip_lateral"]
+        behind = np.flatnonzero((axial[1:] < 0.0) & (axial[:-1] >= 0.0))
+        inside = np.abs(lateral[behind]) < load_scene(EXAMPLE).cone.R_c  # of the throat
+        passed = inside.any()
         assert (run.verdict == "captured") == (was_captured or passed), (ends, speeds)
 
 
