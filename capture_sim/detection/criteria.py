@@ -332,10 +332,10 @@ def watch_capture(criteria, memory, t, distance, unsure, axial, margin, outside_
 
 @kernel
 def approach_again(criteria, memory, t, distance, unsure):
-    """Begin a new approach if the tip has come nearer to BE by the capture radius since a verdict.
+    """Begin a new approach if the tip has come nearer to BE since a verdict, or into the zone.
 
-    Or if it has come into the capture zone.
-    The closest approach of the run is kept; what decides on the new approach begins anew.
+    Nearer means by the capture radius.  The closest approach of the run is kept; the criteria of
+    the new approach start again.
     """
     if memory.t_verdict != memory.since:
         memory.t_verdict, memory.farthest = memory.since, distance

@@ -344,7 +344,7 @@ class Interlocks:
         rules = [] if stale else self._broken_rules(now)
         late = now > self.checked + MAX_CHECK_AGE
         overload = f"rules of plausibility: last checked {now - self.checked:.2g} s ago: {OVERLOAD}"
-        # what to look at first stands first; an age is only the consequence of a cause
+        # the cause comes first; an age is only its consequence
         first = [self.emergency_stop.problem(now), *self.implausible, *rules, *conflicts]
         return "; ".join(filter(None, [*first, *stale, *hold, overload if late else ""]))
 

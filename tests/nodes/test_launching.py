@@ -24,7 +24,7 @@ def started(given):
     return {node.program: node.parameters for node in plan_bench(given).nodes}
 
 
-# nothing is released unless it is said, and whoever says none gets none
+# nothing is released unless the user asks for it; one "none" anywhere prevents it
 
 
 @pytest.mark.parametrize(

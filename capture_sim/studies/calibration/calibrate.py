@@ -505,7 +505,7 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
         lacking = _what_lacks(problem, at, candidates)
     for one in lacking:
         if one.rivals:
-            advice = "measure them apart: it may also be what no candidate stands for"
+            advice = "measure them apart: the cause may also have no candidate"
         elif one.score.can_be_fitted:
             advice = f"add it to the fit: {one.score.name}, if the bench can have it"
         else:
