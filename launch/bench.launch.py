@@ -52,7 +52,9 @@ def start(context):
     except CaptureSimError as error:
         raise RuntimeError(str(error)) from None
     reach = os.environ.get(RANGE) or "LOCALHOST"
-    actions = [LogInfo(msg=f"nodes are discoverable by {RANGE}={reach}; SUBNET opens them")]
+    actions = [
+        LogInfo(msg=f"Fast DDS: nodes are discoverable by {RANGE}={reach}; SUBNET opens them")
+    ]
     if plan.note:
         actions.append(LogInfo(msg=plan.note))
     for program, parameters in plan.nodes:

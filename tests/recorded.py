@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from capture_sim.messages.topics import topic_named
+from capture_sim.messages.topics import SHOWN, topic_named
 
 
 def holds_state(topic):
@@ -16,8 +16,16 @@ def counts_of(run):
     return {name: None if holds_state(name) else count for name, count in run.topics.items()}
 
 
+def n_sent(run):
+    """Return how many messages of a recording nodes have sent, without those that show it."""
+    shown = {topic.absolute_name for topic in SHOWN}
+    return sum(count for name, count in run.topics.items() if name not in shown)
+
+
 def values_of(run, topic):
     """Return all that a topic's messages say, to compare to the last bit; of states the last."""
+    if topic in {shown.name for shown in SHOWN}:  # lists, in the order in which poses came
+        return sorted(run.raw(topic))
     first = -1 if holds_state(topic) else 0
     columns = {name: column[first:] for name, column in run.columns(topic).items()}
     return {

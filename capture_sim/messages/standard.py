@@ -107,6 +107,26 @@ STANDARD: Typesdict = {
         ],
     ),
     "std_msgs/msg/Bool": ([], [("data", (_BASE, ("bool", 0)))]),
+    "std_msgs/msg/String": ([], [("data", (_BASE, ("string", 0)))]),
+    "tf2_msgs/msg/TFMessage": (
+        [],
+        [("transforms", (_SEQUENCE, ((_NAME, "geometry_msgs/msg/TransformStamped"), 0)))],
+    ),
+    "geometry_msgs/msg/TransformStamped": (
+        [],
+        [
+            ("header", (_NAME, "std_msgs/msg/Header")),
+            ("child_frame_id", (_BASE, ("string", 0))),
+            ("transform", (_NAME, "geometry_msgs/msg/Transform")),
+        ],
+    ),
+    "geometry_msgs/msg/Transform": (
+        [],
+        [
+            ("translation", (_NAME, "geometry_msgs/msg/Vector3")),
+            ("rotation", (_NAME, "geometry_msgs/msg/Quaternion")),
+        ],
+    ),
     "std_msgs/msg/Header": (
         [],
         [("stamp", (_NAME, "builtin_interfaces/msg/Time")), ("frame_id", (_BASE, ("string", 0)))],

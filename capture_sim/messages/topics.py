@@ -168,6 +168,21 @@ TARGET_CMD_WRENCH = Topic(
     "target/cmd_wrench", "geometry_msgs/msg/WrenchStamped", (), Rate.CONTROL, depth=10
 )
 
+#: What shows the bench, for RViz and Foxglove: neither counted nor waited for.
+ROBOT_DESCRIPTION = Topic(
+    "robot_description",
+    "std_msgs/msg/String",
+    (),
+    Rate.ONCE,
+    **_TRANSIENT_LOCAL,
+    stamp=Stamp.NONE,
+)
+TF_STATIC = Topic(
+    "tf_static", "tf2_msgs/msg/TFMessage", (), Rate.ONCE, **_TRANSIENT_LOCAL, stamp=Stamp.NONE
+)
+TF = Topic("tf", "tf2_msgs/msg/TFMessage", (), Rate.CONTROL, depth=100, stamp=Stamp.NONE)
+SHOWN: tuple[Topic, ...] = (ROBOT_DESCRIPTION, TF_STATIC, TF)
+
 #: All topics of a run, in the order in which a sample's messages are sent.
 TOPICS: tuple[Topic, ...] = (
     RUN_INFO,

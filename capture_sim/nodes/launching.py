@@ -81,6 +81,7 @@ def plan_bench(
     if unknown := [name for name in given if name not in ARGUMENTS]:
         raise CaptureSimError(f"{unknown[0]}: not an argument; arguments: {', '.join(ARGUMENTS)}")
     for name in _SWITCHES:
+        text[name] = text[name].lower()  # ROS writes True
         _check_choice(name, text[name], SWITCH)
     _check_choice("state", text["state"], _STATES)
     _check_choice("actuator", text["actuator"], ACTUATORS)
@@ -139,6 +140,7 @@ def plan_replay(given: Mapping[str, str]) -> BenchPlan:
     """Return what to start for the arguments of replay.launch.py, see :func:`plan_bench`."""
     text = {name: given.get(name, "").strip() for name in REPLAY_ARGUMENTS}
     for name in ("paused", "detect"):
+        text[name] = text[name].lower()
         _check_choice(name, text[name], SWITCH)
     if not Path(text["bag"]).exists() or not text["bag"]:
         raise CaptureSimError(f"bag = {text['bag']!r}: must be a recording that exists")

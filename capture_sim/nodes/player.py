@@ -16,13 +16,14 @@ from capture_sim.messages.topics import (
     PLAYER,
     RECORDER,
     RUN_INFO,
+    SHOWN,
     SIMULATOR,
     STREAM_COUNTS,
     RunSource,
     topic_named,
     topics_of,
 )
-from capture_sim.nodes.base.endpoints import message_class
+from capture_sim.nodes.base.endpoints import message_class, qos_of
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.base.parameters import ParameterError
 from capture_sim.nodes.base.process import run as run_process
@@ -41,11 +42,11 @@ ROLES = (CAPTURE_DETECTOR, RECORDER)
 class PlayerNode(BenchNode):
     """Publishes the messages of a recording, byte for byte.
 
-    The topics of the bench are published with their own quality of service, others reliable and
-    volatile.  Topics whose type is not installed are left out with a warning.  At the start the
-    player waits for the nodes named in ``wait_for``; later it waits whenever one of them falls
-    behind.  A detector among them evaluates the run again, and the topics that it publishes are not
-    played.  Recorders that are running take part as well.  The topic launcher/hold is never played,
+    The topics of the bench, and those of its shape and frames, are published with their own quality
+    of service, others reliable and volatile.  Topics whose type is not installed are left out with
+    a warning.  At the start the player waits for the nodes named in ``wait_for``; later it waits
+    whenever one of them falls behind.  A detector among them evaluates the run again, and the
+    topics that it publishes are not played.  Recorders that are running take part as well.  The topic launcher/hold is never played,
     as it moves a real chaser.  docs/recording.md explains the options.
     """
 
@@ -153,7 +154,9 @@ class PlayerNode(BenchNode):
             self.open((topic,))
             self._outlets[name] = partial(self.send, topic)
             return
-        publisher = self.create_publisher(kind, name.lstrip("/"), QoSProfile(depth=1000))
+        shown = {each.absolute_name: each for each in SHOWN if each.type_name == type_name}
+        qos = qos_of(shown[name]) if name in shown else QoSProfile(depth=1000)
+        publisher = self.create_publisher(kind, name.lstrip("/"), qos)
         self._outlets[name] = publisher.publish
 
     def _set_state(self, state: State, _: Any, response: Any) -> Any:
@@ -193,7 +196,8 @@ class PlayerNode(BenchNode):
         self._control.begin()
         self._announcer.await_nodes(name, self._start_timeout)
         taking_part = self._announcer.participants(
-            lambda part: not has_streams(part.role) or any(map(part.is_called, self._wait_for))
+            name,
+            lambda part: not has_streams(part.role) or any(map(part.is_called, self._wait_for)),
         )
         skipped = self._playback.skipped(self._offset, self._outlets)
         adapt_counts = PlayedCounts(taking_part.publishers, skipped)

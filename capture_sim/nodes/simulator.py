@@ -180,7 +180,7 @@ class SimulatorNode(BenchNode):
             self.get_logger().info(text, throttle_duration_sec=5.0, skip_first=True)
 
         self.get_logger().info("compiling the kernels, once for this version: about half a minute")
-        with watch_compilation(report):
+        with watch_compilation(report), self._runs.roll.keep_reporting():
             compile_kernels(announce=False)
         self.get_logger().info(f"compiled in {time.monotonic() - began:.0f} s")
 

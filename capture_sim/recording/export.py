@@ -13,7 +13,7 @@ import numpy as np
 from capture_sim.base.files import file_name, whole_file
 from capture_sim.dynamics.samples import TOUCH, TRACE, columns_of
 from capture_sim.errors import RecordingError
-from capture_sim.messages.topics import BENCH_EVENT, CONTACT_TRACE
+from capture_sim.messages.topics import BENCH_EVENT, CONTACT_TRACE, SHOWN
 from capture_sim.messages.units import unit_of
 from capture_sim.recording.bag import Bag
 from capture_sim.recording.sweep_file import arrow, head_of, with_units
@@ -98,9 +98,12 @@ def save_tables(
 def tables_of(bag: Bag) -> LazyMapping[Table]:
     """Return the tables of a recording by topic; each is decoded when it is first used.
 
-    If events are recorded, the touches that they describe are a further table, TOUCHES.
+    The topics that only show the bench have none.  If events are recorded, the touches that they
+    describe are a further table, TOUCHES.
     """
-    makers = {topic: partial(_table, bag, topic) for topic, count in bag.topics.items() if count}
+    without = {topic.absolute_name for topic in SHOWN}  # nested lists, made from the poses
+    there = [name for name, count in bag.topics.items() if count and name not in without]
+    makers = {name: partial(_table, bag, name) for name in there}
     if bag.has(BENCH_EVENT):
         makers[TOUCHES] = partial(_touch_table, bag)
     return LazyMapping(makers)

@@ -15,7 +15,13 @@ from capture_sim.errors import MessageError, RecordingError
 from capture_sim.messages.convert import RunDescription
 from capture_sim.messages.definitions import NO_DEFINITION, decoded, store_of, typestore
 from capture_sim.messages.evolution import Translation
-from capture_sim.messages.topics import RUN_INFO, STREAM_COUNTS, RunSource, topic_named
+from capture_sim.messages.topics import (
+    RUN_INFO,
+    SHOWN,
+    STREAM_COUNTS,
+    RunSource,
+    topic_named,
+)
 from capture_sim.recording.bag import remap
 from capture_sim.recording.contents import read_contents
 
@@ -112,7 +118,7 @@ class Playback:
     def _first(self, name: str, begin: int) -> int:
         """Return the index of the first message of a topic to play from the time ``begin`` (ns)."""
         first = bisect_left(self._contents.log_times[name], begin)
-        topic = topic_named(name)
+        topic = topic_named(name) or {each.absolute_name: each for each in SHOWN}.get(name)
         return max(0, first - topic.depth) if topic is not None and topic.transient_local else first
 
 

@@ -13,8 +13,9 @@ from capture_sim.base.files import is_device
 from capture_sim.errors import RecordingError
 from capture_sim.messages.convert import EPOCH_NS, RunDescription
 from capture_sim.messages.definitions import schema_text, type_hash
-from capture_sim.messages.topics import TOPICS, Topic
+from capture_sim.messages.topics import SHOWN, TF, TOPICS, Topic
 from capture_sim.recording.bag_file import BagFile, TopicEntry, dump, qos_profile
+from capture_sim.recording.frames import POSES, FrameMessages
 
 #: Name of the attachment that holds the resolved scene.
 SCENE_ATTACHMENT = "scene.yaml"
@@ -40,7 +41,9 @@ class RunWriter:
     metadata
         Further entries for the metadata record at the start of the file.
     topics
-        The topics that may be written.  The file lists them even without a message.
+        The topics that may be written.  The file lists them even without a message.  If
+        poses are among them, and ``tf`` is not, `/tf`, `/tf_static` and `/robot_description` are
+        written besides, from the measurements in the messages.
     name
         The name that the file will finally have, if it has another one while it is written.
     remaps
@@ -69,6 +72,7 @@ class RunWriter:
         #: Entries for the metadata record at the end.
         self.closing: dict[str, str] = {}
         self._file: IO[bytes] | None = None
+        self._is_shape_written = False
         with self._checked():
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("wb" if is_device(path) else "xb")
@@ -80,10 +84,15 @@ class RunWriter:
             self._writer.add_metadata(RUN_METADATA, entries)
             scene = (SCENE_ATTACHMENT, "application/yaml", run.scene.encode())
             self._writer.add_attachment(EPOCH_NS, EPOCH_NS, *scene)
+            listed = {topic.absolute_name for topic in topics}
+            is_shown = not POSES.isdisjoint(topics)
+            shown = [each for each in SHOWN if is_shown and each.absolute_name not in listed]
             self._channels = {
                 topic: _add(topic, names.get(topic.absolute_name, topic.absolute_name), self.bag)
-                for topic in topics
+                for topic in (*topics, *shown)
             }
+            # a user's own frames, if he records them, take their place
+            self._frames = FrameMessages(run.scene) if TF in shown else None
             self._file.flush()
 
     def write(self, topic: Topic, data: bytes, time: int | None) -> None:
@@ -98,9 +107,21 @@ class RunWriter:
             time = self.bag.span[1] if self.bag.span else EPOCH_NS
         try:
             self.bag.add(self._channels[topic], time, data)
+            if self._frames is not None:
+                self._show(self._frames, topic, data, time)
         except OSError:
             with self._checked():
                 raise
+
+    def _show(self, frames: FrameMessages, topic: Topic, data: bytes, time: int) -> None:
+        """Write the messages that show the bench, after those of the run that they follow from."""
+        if not self._is_shape_written:
+            self._is_shape_written = True
+            for kind, constant in frames.constant():
+                if kind in self._channels:
+                    self.bag.add(self._channels[kind], time, constant)
+        for moved in frames.of(topic, data):
+            self.bag.add(self._channels[TF], time, moved)
 
     def flush(self) -> None:
         """Hand all that was written to the operating system, so that it survives a kill."""

@@ -5,6 +5,7 @@ import re
 import threading
 import time
 
+import capture_sim.srv
 import rclpy
 from rcl_interfaces.srv import ListParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
@@ -13,7 +14,6 @@ from rclpy.parameter import Parameter
 from capture_sim.messages.topics import BENCH_STATE, CLOCK, RUN_INFO
 from capture_sim.nodes.base.endpoints import message_class, qos_of
 from capture_sim.nodes.simulation.control import State
-from capture_sim.nodes.simulation.services import definitions
 from tests.nodes.own_domain import participant
 
 #: What is waited for makes some progress within this long, s, where a process has a core; where
@@ -169,13 +169,8 @@ class Client:
         self.node.create_subscription(kind, name, callback, qos, **options)
 
 
-def service(name):
-    """Return a type of simulation_interfaces, or of our own where the distribution lacks it."""
-    return getattr(__import__(f"{definitions()}.srv", fromlist=[name]), name)
-
-
 class Simulation:
-    """The simulator, or a player, as a client of simulation_interfaces sees it."""
+    """The simulator, or a player, as a client of its services sees it."""
 
     def __init__(self, client, name="/simulator"):
         self.client, self.name = client, name
@@ -185,10 +180,10 @@ class Simulation:
 
     def _ask(self, kind, **fields):
         words = re.sub("(?<!^)(?=[A-Z])", "_", kind).lower()
-        return self.client.ask(service(kind), f"{self.name}/{words}", **fields)
+        return self.client.ask(getattr(capture_sim.srv, kind), f"{self.name}/{words}", **fields)
 
     def set(self, state):
-        kind = service("SetSimulationState").Request().state.__class__
+        kind = capture_sim.srv.SetSimulationState.Request().state.__class__
         result = self._ask("SetSimulationState", state=kind(state=int(state))).result
         return result.result, result.error_message
 

@@ -341,7 +341,7 @@ def test_a_node_that_is_still_starting_is_no_plain_one(node, announcing):
     node.at(0.8 * STARTING_TIME, join)
     announcing.await_nodes("tilt_0", 60.0)
     assert node.now == pytest.approx(0.8 * STARTING_TIME, abs=0.1)
-    assert announcing.participants().roles == ("launcher",)
+    assert announcing.participants("tilt_0").roles == ("launcher",)
 
 
 def test_subscriptions_that_have_just_come_may_not_be_all(node, announcing):
@@ -431,7 +431,7 @@ def test_a_role_that_is_named_twice_is_waited_for_twice(node):
     node.at(5.0, lambda: join("/recorder#2"))
     announcing.await_nodes("tilt_0", 60.0)
     assert node.now == pytest.approx(5.0, abs=0.1)
-    assert announcing.participants().participants == ("/recorder#1", "/recorder#2")
+    assert announcing.participants("tilt_0").participants == ("/recorder#1", "/recorder#2")
 
 
 def test_a_run_is_refused_if_one_of_two_recorders_does_not_join(node):
@@ -454,3 +454,72 @@ def test_a_run_is_refused_if_one_of_two_recorders_does_not_join(node):
 def test_who_does_not_come_is_named(node, announcing):
     with pytest.raises(CaptureSimError, match="waiting for launcher to start: timed out after 9 s"):
         announcing.await_nodes("tilt_0", 9.0)
+
+
+# one node a role
+
+
+@pytest.mark.parametrize(
+    "wanted, silent_from, refused",
+    [
+        ([], math.inf, "/recorder and /second are recorder both: a run takes 1"),
+        (["recorder", "recorder"], math.inf, ""),
+        (["/recorder", "second"], math.inf, ""),
+        ([], 1.5, ""),  # killed, and still discovered
+    ],
+)
+def test_a_second_node_of_a_role_refuses_the_run_unless_two_are_wanted(
+    node, wanted, silent_from, refused
+):
+    alone(node)
+    announcing = Announcer(node, Roll(node, "simulator"), RunSource.SIMULATION, wanted)
+    node.publishers += ["/recorder", "/second"]
+
+    def sign(participant, silent_from=math.inf):
+        part = part_of(FREE, participant=participant)
+        part.role = "recorder"
+        for t in range(1, 60):
+            if t <= silent_from:
+                node.at(float(t), lambda: node.hear(ROLL, part))
+
+    sign("/recorder#1", silent_from)
+    sign("/second#2")
+    announcing.await_nodes("tilt_0", 60.0)
+    if refused:
+        with pytest.raises(CaptureSimError, match=refused):
+            announcing.participants("tilt_0")
+    else:
+        found = announcing.participants("tilt_0").participants
+        assert set(found) == {"/recorder#1", "/second#2"}  # DDS still knows a killed one
+
+
+def test_two_nodes_of_a_role_name_each_other(node, following):
+    part = part_of(FREE, participant="/second#1")
+    part.role = "recorder"
+    node.hear(ROLL, part)
+    node.hear(ROLL, part)
+    assert [line.split(":")[0] for line in node.log.lines] == [
+        "/second is a recorder, as this node is"
+    ]
+
+
+@pytest.mark.parametrize("announcer_is_on_roll", [True, False])
+def test_nobody_joins_a_run_that_was_announced_without_him(node, announcer_is_on_roll):
+    """`ros2 bag play` is not on the roll: whoever is there evaluates what it plays."""
+    part = Part(node)
+    following = Follower(node, "recorder", part, [RunSource.SIMULATION])
+    following.join()
+    node.publishers += ["/simulator"]
+    if announcer_is_on_roll:
+        node.hear(ROLL, part_of(FREE, participant="/simulator#1"))
+    run = RunDescription.of(
+        load_scene("tilt_0"), "a run", (), announcer="/simulator#1", participants=[OTHER]
+    )
+    node.at(1.0, lambda: node.hear(RUN_INFO, node.messages.run_info(run)))
+    node.at(40.0, node.end_request.set)
+    with pytest.raises(KeyboardInterrupt):
+        following.work()
+    assert (part.begun is None) == announcer_is_on_roll
+    assert any("before this node had come" in line for line in node.log.lines) == (
+        announcer_is_on_roll
+    )

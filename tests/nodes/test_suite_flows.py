@@ -438,6 +438,7 @@ def test_unusable_messages_of_a_publisher_give_one_line(start):
         kind = message_class(RUN_INFO.type_name)
         publisher = client.node.create_publisher(kind, RUN_INFO.name, qos_of(RUN_INFO))
         wait_until(lambda: publisher.get_subscription_count() > 0)
+        client.await_answers_of("/launcher")  # it knows the publisher, too
         for number in range(3):  # one after another, as the reader keeps only the last message
             publisher.publish(kind(run_id=f"{number}", scene="no scene"))
             client.await_answers_of("/launcher")
@@ -445,3 +446,15 @@ def test_unusable_messages_of_a_publisher_give_one_line(start):
         assert node.end() == 0
     assert any("bench/run_info: 3 messages rejected" in line for line in node.lines)
     assert len([line for line in node.lines if "bench/run_info: rejected" in line]) == 1
+
+
+def test_a_second_detector_is_named_by_both_and_refuses_the_run(start):
+    """A run with two was INCOMPLETE, 'repeated or disordered', and no line named the second."""
+    first = start("capture_detector")
+    second = start("capture_detector", __node="second")
+    first.wait_for("/second is a capture_detector, as this node is")
+    second.wait_for("/capture_detector is a capture_detector, as this node is")
+    simulator = start("simulator", rtf=0.0, exit_when_done=True, overrides=SHORT)
+    assert simulator.status() == 1
+    assert "/capture_detector and /second are capture_detector both" in simulator.text
+    assert not any("tilt_0" in line for line in second.lines)  # no run was announced

@@ -12,7 +12,7 @@ from statistics import median
 import numpy as np
 
 from capture_sim.detection.clocks import MAX_OFFSET
-from capture_sim.messages.topics import Topic
+from capture_sim.messages.topics import ROLL, Topic
 from capture_sim.nodes.base.diagnostics import PERIOD, Diagnostics, DiagnosticStatus, Level
 from capture_sim.nodes.base.endpoints import full_name
 from capture_sim.nodes.base.node import BenchNode
@@ -119,7 +119,9 @@ class SourceDiagnostics:
         age = self._sources[topic].monitor.age(now)
         intervals = np.diff(self._sources[topic].arrivals)
         rate = f"{len(intervals) / (now - self._since):.2f}"
-        values: dict[str, object] = {"rate [Hz]": rate, "age [s]": f"{age:.3f}"}
+        values: dict[str, object] = {"rate [Hz]": rate}
+        if math.isfinite(age):
+            values["age [s]"] = f"{age:.3f}"
         if len(intervals):
             values["jitter [s]"] = f"{np.std(intervals):.6f}"
         lag = self._sources[topic].lag
@@ -133,8 +135,11 @@ class SourceDiagnostics:
                 f"{qos.reliability.name}, {qos.durability.name}".lower().replace("_", " ")
             )
         level, text = Level.OK, f"{rate} Hz"
+        on_roll = set(self._node.nodes_that_publish(ROLL))
         if not publishers:
             level, text = Level.ERROR, "no publisher"
+        elif not self.is_fresh(topic) and on_roll.issuperset(map(full_name, publishers)):
+            text = "no run is on"  # a simulator or player sends only in a run
         elif not self.is_fresh(topic):
             level = Level.WARN
             text = f"last message {age:.1f} s ago" if math.isfinite(age) else "no message"

@@ -37,6 +37,9 @@ STARTING_TIME = 5.0
 #: The names of the nodes that a wait is for are logged after this time, then at growing intervals,
 #: s (wall).
 _REPORT_PERIOD = 2.0
+#: A node that has replaced another of its role is waited for this long, s (wall): a killed one
+#: counts as present until it has not been heard for NAMESAKE_LIMIT.
+DOUBLE_TIMEOUT = 5.0
 
 
 class TrialOnError(CaptureSimError):
@@ -177,16 +180,33 @@ class Announcer:
         self._check_trials()
         self.await_none(name, self._missing, limit)
 
-    def participants(self, chosen: Callable[[RollPart], bool] = lambda part: True) -> Participants:
+    def participants(
+        self, name: str, chosen: Callable[[RollPart], bool] = lambda part: True
+    ) -> Participants:
         """Return the nodes that can take part in the next run.
 
         These are the nodes that are present, in no run, and take part in runs of this source, if
-        ``chosen`` returns True for them.  TrialOnError during a trial of a real bench, now or
-        later until :meth:`close`, see :meth:`check_part`.
+        ``chosen`` returns True for them.  ``name``: name of the run in the log.  TrialOnError
+        during a trial of a real bench, now or later until :meth:`close`, see :meth:`check_part`.
+        CaptureSimError if for :data:`DOUBLE_TIMEOUT` more nodes fill a role than the run takes:
+        one, or as many as ``wait_for`` names.
         """
         self._check_trials()
         self._is_on = True
-        return Participants([part for part in self._roll.free(self._source) if chosen(part)])
+
+        def parts() -> list[RollPart]:
+            return [part for part in self._roll.free(self._source) if chosen(part)]
+
+        def doubles() -> str:
+            wanted = list(self._wait_for.elements())
+            return "; ".join(self._roll.doubles(parts(), wanted))
+
+        try:
+            self.await_none(name, doubles, DOUBLE_TIMEOUT)
+        except CaptureSimError:
+            self._is_on = False
+            raise
+        return Participants(parts())
 
     def announce(self, run: RunDescription, data: bytes) -> None:
         """Announce a run and wait until all participants have joined it.

@@ -222,7 +222,9 @@ class Follower:
         :class:`Roll`.
         """
         self._node.listen(STREAM_COUNTS, self._hear_counts)
-        self._node.listen(RUN_INFO, self._hear_announcement)
+        # volatile: a node on the roll joins no run that was announced before it came
+        latched = None if not self._on_roll else False
+        self._node.listen(RUN_INFO, self._hear_announcement, transient_local=latched)
         self.roll = Roll(self._node, self._role, self._sources, is_listed=self._on_roll)
 
     # a run
@@ -416,6 +418,12 @@ class Follower:
             and self.roll.id not in info.participants
         ):
             self.roll.report_ignored(info, f"this node does not take part in a {info.source}")
+        elif (
+            self._on_roll
+            and self.roll.id not in info.participants
+            and info.announcer in self.roll.parts  # not so if `ros2 bag play` repeats a run
+        ):
+            self.roll.report_ignored(info, "it was announced before this node had come")
         elif present is not None and not is_own:
             self.roll.report_ignored(info, f"this node takes part in {present.run.name}")
         else:

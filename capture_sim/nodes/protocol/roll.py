@@ -21,10 +21,12 @@ node waits for a participant that has left the network.
 from __future__ import annotations
 
 import math
+import threading
 import time
 import uuid
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -190,6 +192,26 @@ class Roll:
         self._own = message
         self._node.send(ROLL, message)
 
+    @contextmanager
+    def keep_reporting(self) -> Iterator[None]:
+        """Publish this node's part from a second thread while in the context.
+
+        For a node that does not serve its callbacks meanwhile, because it compiles.
+        """
+        is_over = threading.Event()
+
+        def work() -> None:
+            while not is_over.wait(SIGN_PERIOD):
+                self._node.send(ROLL, self._own)
+
+        thread = threading.Thread(target=work, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            is_over.set()
+            thread.join()
+
     def repeat(self) -> None:
         """Publish this node's part again, and log nodes that are connected but no longer heard.
 
@@ -250,6 +272,24 @@ class Roll:
             for part in self.parts.values()
             if part.state == READY and str(source) in part.sources and self.is_there(part.id)
         ]
+
+    def doubles(self, parts: Sequence[RollPart], wanted: Collection[str] = ()) -> list[str]:
+        """Return a line for each role that more nodes fill than a run takes.
+
+        A run takes one node of a role, or as many as ``wanted`` names: roles, names or full names,
+        a name that is listed twice stands for two.  Of ``parts`` only the nodes count that were
+        heard within NAMESAKE_LIMIT, because a killed node remains discovered for longer.
+        """
+        lines = []
+        now = time.monotonic()
+        for role in sorted({part.role for part in parts}):
+            of_role = [part for part in parts if part.role == role]
+            allowed = sum(any(part.is_called(name) for part in of_role) for name in wanted)
+            here = [p.node for p in of_role if now < self._signs.get(p.id, now) + NAMESAKE_LIMIT]
+            if len(here) > max(1, allowed):
+                nodes = " and ".join(sorted(here))
+                lines.append(f"{nodes} are {role} both: a run takes {max(1, allowed)}")
+        return lines
 
     def await_free(self, source: RunSource, until: Callable[[], bool]) -> None:
         """Wait until no node is :meth:`busy`, or ``until()`` is true, at most FREE_TIMEOUT.
@@ -337,7 +377,13 @@ class Roll:
             RunReport(() if message.complete else (message.reason,), message.file),
         )
         self.parts[part.id] = part
-        self._heard[part.node] = self._signs[part.id] = time.monotonic()
+        self._heard[part.node] = time.monotonic()
+        if part.id not in self._signs and part.role == self._role and self._is_listed:
+            self._node.get_logger().warning(
+                f"{part.node} is a {part.role}, as this node is: a run takes one, unless the "
+                "parameter wait_for of the simulator names two"
+            )
+        self._signs[part.id] = time.monotonic()
         if part.node in self._silent:
             self._silent.remove(part.node)
             self._node.get_logger().info(f"{part.node}: heard again")

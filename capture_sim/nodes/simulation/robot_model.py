@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from capture_sim.messages.convert import stamp_ns
+from capture_sim.messages.topics import ROBOT_DESCRIPTION, TF, TF_STATIC
 from capture_sim.messages.urdf import (
     Transform,
     moving_transforms,
     static_transforms,
     urdf,
 )
-from capture_sim.nodes.base.endpoints import TRANSIENT_LOCAL, message_class
+from capture_sim.nodes.base.endpoints import message_class, qos_of
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.scene.parts import Scene
 
@@ -23,15 +24,16 @@ from capture_sim.scene.parts import Scene
 class RobotModel:
     """Publishes the bench's shape (URDF), and the poses of its parts if tf2_msgs is installed.
 
-    These messages serve only to show the bench.  They are neither counted nor recorded, and no run
-    waits for their readers.  Recordings contain the same motion in other topics.
+    These messages serve only to show the bench.  They are not counted, and no run waits for their
+    readers.  A recorder does not read them: it makes its own from the poses that it records, see
+    :mod:`capture_sim.recording.frames`.
     """
 
     def __init__(self, node: BenchNode) -> None:
         self._node = node
         self._string = message_class("std_msgs/msg/String")
         self._description = node.create_publisher(
-            self._string, "robot_description", TRANSIENT_LOCAL
+            self._string, ROBOT_DESCRIPTION.name, qos_of(ROBOT_DESCRIPTION)
         )
         self._moving: Any = None
         self._scene: Scene | None = None
@@ -40,8 +42,8 @@ class RobotModel:
         except ImportError:  # not among the wheels
             return
         self._stamped = message_class("geometry_msgs/msg/TransformStamped")
-        self._moving = node.create_publisher(self._tf, "tf", 100)
-        self._static = node.create_publisher(self._tf, "tf_static", TRANSIENT_LOCAL)
+        self._moving = node.create_publisher(self._tf, TF.name, qos_of(TF))
+        self._static = node.create_publisher(self._tf, TF_STATIC.name, qos_of(TF_STATIC))
 
     def begin(self, scene: Scene) -> None:
         """Publish the shape of this scene's bench, and the poses of its parts at the start."""

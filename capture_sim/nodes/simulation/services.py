@@ -1,28 +1,19 @@
 """The services by which others start, stop, pause and reset the simulator.
 
-They are those of the ROS package ``simulation_interfaces``.  Where it is installed, its own types
-are used, else those of capture_sim, which have the same names and fields.
+Their types are capture_sim's, with the names, fields and numbers of the ROS package
+``simulation_interfaces``.
 """
 
 from __future__ import annotations
 
-import importlib
 import time
 from collections.abc import Callable
 from typing import Any
 
+import capture_sim.srv
 from capture_sim.nodes.base.endpoints import TRANSIT_TIME
 from capture_sim.nodes.base.node import BenchNode
 from capture_sim.nodes.simulation.control import Code, Reply, SimulationControl
-
-
-def definitions() -> str:
-    """Return the package whose service types are used: simulation_interfaces or capture_sim."""
-    try:
-        importlib.import_module("simulation_interfaces.srv")
-    except ImportError:
-        return "capture_sim"
-    return "simulation_interfaces"
 
 
 class SimulationServices:
@@ -34,14 +25,13 @@ class SimulationServices:
     def __init__(self, node: BenchNode, control: SimulationControl) -> None:
         self._control = control
         self._replied_at = 0.0  # s (wall), when the last reply was sent
-        module = importlib.import_module(f"{definitions()}.srv")
         callbacks: dict[str, Callable[[Any, Any], Any]] = {
             "GetSimulationState": self._get_state,
             "SetSimulationState": self._set_state,
             "ResetSimulation": self._reset,
         }
         for name, callback in callbacks.items():
-            service = getattr(module, name)
+            service = getattr(capture_sim.srv, name)
             node.create_service(service, f"~/{_snake(name)}", node.guarded(callback))
 
     def close(self) -> None:

@@ -122,8 +122,8 @@ class SimulatedRuns:
         topics = topics_of(SIMULATOR)
         node.open([*(topic for topic in topics if topic is not RUN_INFO), RUN_INFO])
         self._numbers = itertools.count(1)
-        self._roll = Roll(node, SIMULATOR, on_part=self._check_part)
-        self._announcer = Announcer(node, self._roll, RunSource.SIMULATION, wait_for, control.check)
+        self.roll = Roll(node, SIMULATOR, on_part=self._check_part)
+        self._announcer = Announcer(node, self.roll, RunSource.SIMULATION, wait_for, control.check)
 
     def run(self, scene: Scene) -> RunOutcome:
         """Run a scene, and return how the run has ended.
@@ -175,18 +175,18 @@ class SimulatedRuns:
     def has_dropped_participants(self) -> bool:
         """Return True if a node that takes part in runs was dropped because it read nothing."""
         return any(
-            part.node in self._node.topic_publishers.dropped for part in self._roll.parts.values()
+            part.node in self._node.topic_publishers.dropped for part in self.roll.parts.values()
         )
 
     def _begin_run(self, scene: Scene) -> tuple[BenchTelemetry, bool]:
         """Announce a run; return what makes its messages, and True if a launcher takes part."""
-        taking_part = self._announcer.participants()
-        run_id = f"{number_of(self._roll.id)}{next(self._numbers):08x}"
+        taking_part = self._announcer.participants(scene.name)
+        run_id = f"{number_of(self.roll.id)}{next(self._numbers):08x}"
         description = RunDescription.of(
             scene,
             run_id,
             [SIMULATOR, *taking_part.publishers],
-            announcer=self._roll.id,
+            announcer=self.roll.id,
             participants=taking_part.participants,
         )
         self._launcher.begin(run_id, scene)
@@ -246,7 +246,7 @@ class SimulatedRuns:
         and no topic would be complete.
         """
         self._announcer.check_part(part)
-        if part.role in (SIMULATOR, PLAYER) and part.number < number_of(self._roll.id):
+        if part.role in (SIMULATOR, PLAYER) and part.number < number_of(self.roll.id):
             topic = self._node.resolve_topic_name(BENCH_STATE.name)
             raise CaptureSimError(
                 f"another {part.role}, {part.node}, publishes {topic}: use another ROS_DOMAIN_ID "

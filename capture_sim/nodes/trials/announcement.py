@@ -87,12 +87,13 @@ class TrialAnnouncement:
     def state_of_others(self) -> dict[str, Any]:
         """Return which other nodes have joined or left the trial, as arguments of Trial.set_others.
 
-        Before the announcement, it contains which required roles cannot take part (``absent``).
+        Before the announcement, it contains which required roles cannot take part, and which roles
+        more than one node fills (``absent``).
         After it, it contains which nodes the trial waits for (``pending``) and, until the close,
         which required roles have left the trial (``lost``).
         """
         if self._announced is None:
-            absent = "; ".join(self._absences(self._required))
+            absent = "; ".join([*self._absences(self._required), *self._doubles()])
             return {"ready": False, "done": False, "pending": "", "absent": absent}
         not_joined, not_left = self._announced.not_joined(), self._announced.not_left()
         return {
@@ -140,6 +141,15 @@ class TrialAnnouncement:
             for role in roles
             if role not in free
         ]
+
+    def _doubles(self) -> list[str]:
+        """Return a line for each role that two nodes fill, launchers included."""
+        launchers = [
+            f"{part.node} is a {LAUNCHER} too: one alone may drive launcher/hold"
+            for part in self._roll.parts.values()
+            if part.role == LAUNCHER and self._roll.is_there(part.id)
+        ]
+        return launchers + self._roll.doubles(self._roll.free(RunSource.TRIAL), self._required)
 
     def _lost(self) -> dict[str, str]:
         """Return a line, by role, for each required role without a node in the trial any more.
