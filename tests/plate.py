@@ -21,7 +21,9 @@ WIDE = LoopLimits(
 
 def plate_scene(*overrides):
     """A stiff probe, 20 mm before the plate, so that a slow servo is at speed when it comes."""
-    return load_scene("_loop", ["initial.target.x=0.4825", "buffer.k_A=1e7", *overrides])
+    return load_scene(
+        "_loop", ["initial.target.x=0.4825", "buffer.k_A=1e7", "buffer.c_A=2670", *overrides]
+    )
 
 
 def plate_mass(scene):
@@ -125,3 +127,15 @@ def response_of(rig, latency, prediction_lag=None):
         return value
 
     return response
+
+
+def recorded_poses(loop):
+    """Return the list of the positions that a loop is going to send, from its start on."""
+    poses, advance = [], loop.advance
+
+    def recorded():
+        poses.append(advance())
+        return poses[-1]
+
+    loop.advance = recorded
+    return poses

@@ -375,6 +375,16 @@ def add_resume(parser: argparse.ArgumentParser, study: str) -> None:
     )
 
 
+def add_control(parser: argparse.ArgumentParser) -> None:
+    """Add ``--control``, the controller of the scene's thrusters."""
+    parser.add_argument(
+        "--control",
+        metavar="MODULE:FUNCTION",
+        default="",
+        help="controller of the thrusters: FUNCTION(scene), called for each run, returns it",
+    )
+
+
 def add_workers(parser: argparse.ArgumentParser) -> None:
     """Add ``--workers`` and ``--scheduler``, the processes or the Dask cluster of a study."""
     parser.add_argument(

@@ -7,7 +7,7 @@ import dataclasses
 
 from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.commands.compiling import compile_first
-from capture_sim.commands.inputs import add_experiments, load_all, prepare_folder
+from capture_sim.commands.inputs import add_control, add_experiments, load_all, prepare_folder
 from capture_sim.commands.output import (
     IMAGES_MISSING,
     echo,
@@ -15,6 +15,7 @@ from capture_sim.commands.output import (
     warn,
 )
 from capture_sim.commands.results_folder import Recorded, ResultsFolder
+from capture_sim.run.controllers import control_of
 from capture_sim.run.loads import implausible_stroke
 from capture_sim.run.simulation import RunError, simulate
 from capture_sim.scene.loading import overridden_name
@@ -27,6 +28,7 @@ EXAMPLE = "  capture-sim run tilt_0 tilt_p10 --set buffer.c_A=20 --out runs"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_experiments(parser)
+    add_control(parser)
     parser.add_argument("--no-record", action="store_true", help="write no recordings and no plots")
     parser.add_argument(
         "--overwrite",
@@ -52,7 +54,8 @@ def run(options: argparse.Namespace) -> int:
     with reported_if_interrupted("only the recordings named above are written"):
         for scene in scenes:
             try:
-                result = simulate(scene)
+                control = control_of(scene, options.control) if options.control else None
+                result = simulate(scene, control=control)
             except RunError as error:
                 warn(str(error))
                 status = FAILED

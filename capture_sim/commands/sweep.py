@@ -20,6 +20,7 @@ from capture_sim.base.software import software_versions
 from capture_sim.base.tables import print_table
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
+    add_control,
     add_limits,
     add_resume,
     add_scene,
@@ -150,6 +151,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LOAD",
         help=f"list the runs with the largest LOAD (default: {MAIN_LOADS[0]})",
     )
+    add_control(parser)
     add_workers(parser)
     add_resume(parser, "sweep")
     parser.add_argument(
@@ -171,7 +173,8 @@ def run(options: argparse.Namespace) -> int:
     if samples.notes:
         warn(notes_text(scene, list(samples.notes)))
     prepare_folder(options.out.parent)
-    if scene.sensors is not None and scene.sensors.motion_capture is not None:
+    is_noisy = scene.sensors is not None and scene.sensors.motion_capture is not None
+    if is_noisy and not options.control:
         warn("verdicts are of the exact motion: sensors.motion_capture is not simulated")
     is_left = _journal_path(options).exists()
     if options.resume and not is_left and is_complete(options.out, _about(scene, samples, options)):
@@ -186,6 +189,7 @@ def _about(scene: Scene, samples: Samples, options: argparse.Namespace) -> dict[
     about = {"scene": scene.to_yaml(), "vary": options.vary, "seed": options.seed}
     about |= {"sample": options.sample, "runs": len(samples.rows), "limits": options.limits}
     about |= {"correlate": options.correlate, "check": options.check}
+    about |= {"control": options.control} if options.control else {}
     return about | {"rows": _hash(samples)}
 
 
@@ -206,6 +210,7 @@ def _journal(scene: Scene, samples: Samples, options: argparse.Namespace) -> Jou
     """
     head = {"study": "sweep", "software": list(software_versions()), "scene": scene.to_yaml()}
     head |= {"vary": _hash(samples), "limits": sorted(options.limits), "check": options.check}
+    head |= {"control": options.control} if options.control else {}
     journal = Journal(_journal_path(options), head, resume=options.resume)
     if journal.replaced is not None:
         warn(f"the unfinished sweep of before is now {journal.replaced}; --resume continues one")
@@ -239,9 +244,10 @@ def _sweep(
             executor=executor,
             report=partial(progress.at, "sweep"),
             journal=journal,
+            control=options.control,
         )
         ranges: dict[tuple[Any, ...], CaptureRange] = {}
-        if options.cases is None:
+        if options.cases is None and not options.control:
             with suppress(KeyboardInterrupt):  # the table is complete without
                 ranges = ranges_of_sweep(scene, samples, table, limits, executor)
     if table.empty:
@@ -286,7 +292,7 @@ def _samples(scene: Scene, options: argparse.Namespace) -> Samples:
                 "--from: must be given without --vary, --under, --calibrated, --correlate, --runs "
                 "and --edges"
             )
-        return samples_of(scene, read_cases(options.cases))
+        return samples_of(scene, read_cases(options.cases), is_flown=bool(options.control))
     vary, correlations = dispersions(options)
     for item in options.vary:
         name, sign, given = item.partition("=")
@@ -302,7 +308,8 @@ def _samples(scene: Scene, options: argparse.Namespace) -> Samples:
         runs = 100 if any("(" in given for given in vary.values()) else 0
         if runs and options.sample in ("sobol", "saltelli"):
             runs = 128
-    return samples_of(scene, vary, runs, options.sample, options.seed, options.edges, correlations)
+    draws = options.sample, options.seed, options.edges, correlations
+    return samples_of(scene, vary, runs, *draws, is_flown=bool(options.control))
 
 
 def _commands(scene: Scene, samples: Samples, options: argparse.Namespace) -> list[str]:
@@ -323,6 +330,7 @@ def _commands(scene: Scene, samples: Samples, options: argparse.Namespace) -> li
         words = ["capture-sim", "run", options.scene]
         for change in (*always, *recipe.overrides_of(row)):
             words += ["--set", change]
+        words += ["--control", options.control] if options.control else []
         commands.append(shlex.join(words))
     return commands
 

@@ -137,6 +137,7 @@ class Bench:
         self._unread: list[np.ndarray] = []
         self._last_time = -math.inf  # last requested sample time, s
         self._fatal: str | None = None  # reason why the run cannot continue
+        self._stepping: _Stepping | None = None
         detail = "no string"
         if scene.string is not None:
             detail = f"{self.plan.hanging_mass:.6g} kg from {self.plan.drop_height:.6g} m"
@@ -303,15 +304,24 @@ class Bench:
         while True:
             progress["n_log"] = progress["n_trace"] = 0
             served += loop.advance(workspace, times[served:], records(samples[served:]), trace)
-            n_events, n_trace = int(progress["n_log"]), int(progress["n_trace"])
-            if n_events:
-                self._unread.append(joined([self._record["log"][:n_events]]))
-            if n_trace:
-                self._traced.append(self._trace_room[:n_trace].copy())
-            if progress["status"] == StepStatus.SERVED:
+            status = StepStatus(int(progress["status"]))
+            self._keep_log(status, samples[:served])
+            if status is StepStatus.SERVED:
                 return samples[:served]
-            if progress["status"] != StepStatus.INTERRUPTED:
-                raise self._failure(StepStatus(int(progress["status"])), samples[:served])
+
+    def _keep_log(self, status: StepStatus, samples: np.ndarray) -> None:
+        """Keep the events and the trace of a call into the engine.
+
+        SimulationError, with ``samples``, if the engine cannot continue.
+        """
+        progress = self._record["progress"]
+        n_events, n_trace = int(progress["n_log"]), int(progress["n_trace"])
+        if n_events:
+            self._unread.append(joined([self._record["log"][:n_events]]))
+        if n_trace:
+            self._traced.append(self._trace_room[:n_trace].copy())
+        if status not in (StepStatus.SERVED, StepStatus.INTERRUPTED):
+            raise self._failure(status, samples)
 
     def start_at(self, q: np.ndarray, v: np.ndarray) -> None:
         """Start from coordinates ``q`` (8,) and rates ``v`` (8,), without rail and string.
@@ -360,7 +370,7 @@ class Bench:
         """
         mode, step = self._system["mode"], self._record["step"]
         wrench = np.array([*chaser, *target], dtype=float)
-        if wrench.shape != (6,) or not np.isfinite(wrench).all():
+        if not (len(chaser) == len(target) == 3 and np.isfinite(wrench).all()):
             said = [shown(value) for value in (*chaser, *target)]
             allowed = "three finite numbers each, N, N and N m, of chaser and target"
             raise SceneError(f"thrust = {', '.join(said)}: must be {allowed}")
@@ -375,6 +385,41 @@ class Bench:
             mode["thrusting"], mode["thrust"] = 1, wrench
             step["equations_changed"] = 1
         self.pause_at(until)
+
+    def step(self, chaser: Sequence[float], target: Sequence[float], duration: float) -> np.void:
+        """Hold a wrench on each vehicle for a duration (s), and return the sample at its end.
+
+        For loops: as :meth:`thrust` and :meth:`advance` in one call, at a quarter of their cost.
+        On the rail, or without thrusters, nothing acts.  At the end of the run the sample is that
+        of the end, and a later call returns it again.
+
+        Returns
+        -------
+        numpy.void
+            Of dtype SAMPLE.  The next call writes into it: copy what you keep.
+
+        Raises
+        ------
+        SceneError
+            As :meth:`thrust`; or the duration is not above 0.
+        SimulationError
+            As :meth:`advance`.
+
+        Examples
+        --------
+        >>> from capture_sim import Bench, load_scene
+        >>> thrusters = {"chaser": {"force": "2 N", "torque": "0.2 N m"}}
+        >>> bench = Bench(load_scene("paper_designed", {"thrusters": thrusters}))
+        >>> while not bench.done:
+        ...     sample = bench.step((0.5, 0.0, 0.0), (0.0, 0.0, 0.0), 0.01)
+        >>> round(float(sample["t"]), 6) == bench.scene.run.t_end
+        True
+        """
+        if self._fatal is not None:
+            raise SimulationError(self._fatal, np.zeros(0, SAMPLE))
+        if self._stepping is None:
+            self._stepping = _Stepping(self)
+        return self._stepping.step(chaser, target, duration)
 
     def pause_at(self, t: float) -> None:
         """Pause the run at a time (s), or at its end if that is earlier."""
@@ -460,3 +505,67 @@ class Bench:
                 if event.touch is not None:
                     self._touches.append(event.touch)
                 self._events.append(event)
+
+
+class _Stepping:
+    """What :meth:`Bench.step` reuses from call to call: views of the engine's record, a sample.
+
+    NumPy is slow with the fields of a record, and fast with items of arrays of one number.
+    """
+
+    def __init__(self, bench: Bench) -> None:
+        workspace = bench._workspace
+        progress, step, mode = workspace["progress"], workspace["step"], workspace["system"]["mode"]
+        self._bench = bench
+        self._times, self._samples = to_the_end(np.zeros(1)).copy(), np.zeros(2, SAMPLE)
+        self._arguments = (
+            *(records(workspace), self._times, records(self._samples)),
+            records(bench._trace_room),
+        )
+        self._n_log, self._n_trace = progress["n_log"], progress["n_trace"]
+        self._status, self._done, self._t_stop = (
+            progress[name] for name in ("status", "done", "t_stop")
+        )
+        self._t_end, self._t0 = float(progress["t_end"][0]), step["t0"]
+        self._changed, self._on_rail = step["equations_changed"], workspace["rail"]["on"]
+        self._thrusting, self._thrust = mode["thrusting"], mode["thrust"][0]
+        self._held: tuple[float, ...] | None = None  # wrench of the step before
+
+    def step(self, chaser: Sequence[float], target: Sequence[float], duration: float) -> np.void:
+        """See :meth:`Bench.step`."""
+        bench, times = self._bench, self._times
+        if self._done[0]:
+            return self._samples[0]
+        now = self._t0.item()
+        until = min(round(now + duration, 12), self._t_end)
+        if not until > now:
+            raise refuse("duration", duration, "s", "> 0")
+        wrench = (*chaser, *target)
+        if wrench != self._held and not self._on_rail[0]:
+            self._hold(chaser, target, until)
+            self._held = wrench
+        self._t_stop[0] = bench._last_time = times[0] = until
+        while True:
+            self._n_log[0] = self._n_trace[0] = 0
+            loop.advance(*self._arguments)
+            status = self._status.item()
+            if self._n_log[0] or self._n_trace[0] or status != _SERVED:
+                bench._keep_log(StepStatus(status), self._samples[:0])
+            if status == _SERVED:
+                return self._samples[0]
+
+    def _hold(self, chaser: Sequence[float], target: Sequence[float], until: float) -> None:
+        """Let a wrench act on each vehicle from now on."""
+        held, wrench = self._held, (*chaser, *target)
+        if (
+            held is None
+            or not (len(chaser) == len(target) == 3 and all(map(math.isfinite, wrench)))
+            or (any(chaser), any(target)) != (any(held[:3]), any(held[3:]))
+        ):
+            self._bench.thrust(chaser, target, until)  # with its checks and events
+        else:
+            self._thrust[:] = wrench
+            self._changed[0] = 1
+
+
+_SERVED = int(StepStatus.SERVED)

@@ -52,6 +52,9 @@ class Control:
     as_applied
         True to apply every wrench as it is, without limits, delay, pulses and timeout.  Use it to
         repeat wrenches that thrusters have applied before.
+    watch
+        Function called with all samples since the last call, (n,) of dtype SAMPLE, before
+        ``command``; None: none.
 
     Examples
     --------
@@ -62,6 +65,7 @@ class Control:
     command: Callable[[np.void], Commands]
     rate: float | None = None
     as_applied: bool = False
+    watch: Callable[[np.ndarray], None] | None = None
 
 
 #: Thrusters that apply every wrench unchanged.
@@ -80,7 +84,7 @@ class _Controlled:
         if not (ratio >= 1.0 and abs(ratio - round(ratio)) <= 1e-9 * ratio):
             allowed = f"run.state_rate ({scene.run.state_rate:g} Hz) divided by a whole number"
             raise refuse("rate of the controller", rate, "Hz", allowed)
-        self._bench, self._command = bench, control.command
+        self._bench, self._command, self._watch = bench, control.command, control.watch
         self._every = round(ratio)
         self._actuation = Actuation(_IDEAL if control.as_applied else scene.thrusters)
         self._last: np.void | None = None
@@ -113,6 +117,8 @@ class _Controlled:
                 raise SimulationError(str(error), partial) from None
             samples = joined(parts) if parts else bench.advance(times)
         if samples.size:
+            if self._watch is not None:
+                self._watch(samples)
             self._last, self._count = samples[-1].copy(), self._count + samples.size
         return samples
 

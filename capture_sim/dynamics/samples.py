@@ -93,6 +93,7 @@ ENERGIES = (
     "elastic_stop",
     "work_string",
     "work_thrust",
+    "work_floor",
     "dissipated_axial",
     "dissipated_torsion",
     "dissipated_contact",

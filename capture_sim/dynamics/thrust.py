@@ -72,7 +72,7 @@ class HeldWrench:
 
     @property
     def _held_until(self) -> float:
-        return _later(self._since, self._thruster.min_pulse)
+        return _later(self._since, self._thruster.min_hold)
 
     def _is_due(self, t: float) -> bool:
         """Return True if a command takes effect by a time, s."""

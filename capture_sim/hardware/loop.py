@@ -43,6 +43,11 @@ MIN_THRESHOLD = 0.01
 N_AT_REST = 100
 #: Largest distance of the rig's tip from the first position at which the loop may start, m.
 MAX_START_DISTANCE = 1e-3
+#: Distance from the walls, m, at which the tip cannot touch them, whatever walls and lag are not
+#: known by; a force that the cell shows there is its own drift.
+CLEARANCE = 2e-3
+#: Drift of the cell that is named and taken out, as a share of the contact's threshold.
+MAX_DRIFT = 0.25
 #: Lag as a share of the touch's duration: up to the first value the full residual acts, from the
 #: second on none.
 FULL_RESIDUAL, NO_RESIDUAL = 0.1, 0.2
@@ -98,6 +103,7 @@ class Loop:
         self._sent = {self._index: self.pose}
         self.lags, self.contact = Lags(), RigContact(threshold)
         self._samples: deque[tuple[float, ...]] = deque(maxlen=2048)
+        self._clear: deque[Wrench] = deque(maxlen=N_AT_REST)  # readings with the tip clear
         self.start_distance = 0.0  # m, from the rig's tip to the first position, before the start
         self.notes: list[str] = []
         self._episodes = Episodes(stage, self._walls, law, method == "model", self._note)
@@ -268,11 +274,32 @@ class Loop:
         fx, fy = answer.wrench.fx, answer.wrench.fy
         normal, tangential = fx * wall.nx + fy * wall.ny, fy * wall.nx - fx * wall.ny
         self._guard.check_answer(reading, normal, wall, unseen_lag)
+        self._watch_cell(reading, wall.depth)
         self.contact.add(force)
         is_free = not self.contact.is_on and self._episodes.present is None
         if answer.tip is not None and index >= 0 and is_free:
             self.lags.add_tip(sent, answer.tip)
         self._samples.append((answer.stamp, wall.depth, wall.rate, normal, tangential, wall.slip))
+
+    def _watch_cell(self, reading: Wrench, depth: float) -> None:
+        """Take out and name a drift of the load cell, while the tip is clear of the walls.
+
+        ``depth`` (m) is the tip's penetration of the scene's walls, negative outside.  The newest
+        :data:`N_AT_REST` readings must be as quiet as at the start.
+        """
+        if depth > -CLEARANCE:
+            self._clear.clear()
+            return
+        self._clear.append(reading)
+        if len(self._clear) < N_AT_REST:
+            return
+        readings = np.array(self._clear)
+        drift = self.answers.tared(Wrench(*np.median(readings, axis=0).tolist())).force
+        is_quiet = readings[:, :3].std(axis=0).max() <= max(2.0 * self.answers.noise, 1e-9)
+        if is_quiet and drift > MAX_DRIFT * self.contact.threshold:
+            self.answers.bias = Wrench(*np.median(readings, axis=0).tolist())
+            self.contact.end()
+            self._note(f"the load cell has drifted by {drift:.3g} N: taken out")
 
     def _end_episode(self) -> None:
         episode = self._episodes.present

@@ -82,6 +82,8 @@ class Integration:
         Scene of the run; SceneError if it breaks a rule.
     memory
         Memory to reuse, as for :class:`capture_sim.dynamics.bench.Bench`; None for new memory.
+    control
+        Controller of the thrusters for :meth:`integrate`.
 
     Attributes
     ----------
@@ -95,8 +97,11 @@ class Integration:
         Reason why the integration stopped early; empty for a complete run.
     """
 
-    def __init__(self, scene: Scene, memory: Memory | None = None) -> None:
+    def __init__(
+        self, scene: Scene, memory: Memory | None = None, control: Control | None = None
+    ) -> None:
         run = scene.run
+        self._control = control
         check_memory(run, run.t_end * run.rate, "rate")
         self.bench, self._detector = Bench(scene, memory=memory), ExactDetector(scene)
         self._times = _measured_at(run.t_end, run.rate)
@@ -105,6 +110,9 @@ class Integration:
 
     def integrate(self) -> None:
         """Run to the end and evaluate the samples; :meth:`finish` then returns the final status."""
+        if self._control is not None:
+            self._detector.to_end(self._flown(self._control)[1])
+            return
         samples = self._integrated(self._times)
         self._note(samples)
         self._detector.to_end(samples)
@@ -127,13 +135,18 @@ class Integration:
 
         Return the samples at ``run.state_rate`` and the detector's statuses.
         """
+        samples, measured = self._flown(control)
+        return samples, self._detector.statuses(measured, cut=bool(self.failure))
+
+    def _flown(self, control: Control) -> tuple[np.ndarray, np.ndarray]:
+        """Run to the end; return the samples at ``run.state_rate``, and those of the detector."""
         run = self.bench.scene.run
         pieces = list(drive(self.bench, control=control))
         self.failure = str(pieces[-1].failure or "")
         samples = joined([piece.samples for piece in pieces])
         measured = samples[:: round(run.state_rate / run.rate)]
         self._note(measured)
-        return samples, self._detector.statuses(measured, cut=bool(self.failure))
+        return samples, measured
 
     def _integrated(self, times: np.ndarray) -> np.ndarray:
         try:

@@ -58,7 +58,7 @@ class SimulatedSensors:
         k, self._count = self._count, self._count + 1
         chaser = target = wrench = None
         if self._motion_capture is not None and k % self._motion_capture.every == 0:
-            chaser, target = self._motion_capture.read(sample)
+            chaser, target = self._motion_capture.read(sample) or (None, None)
         if self._load_cell is not None:
             wrench = self._load_cell.read(sample, due=k % self._load_cell.every == 0)
         return Reading(chaser, target, wrench)
@@ -70,10 +70,20 @@ class _MotionCapture:
         deviations = [part.position_noise, part.position_noise, part.heading_noise]
         self._deviations = np.array(deviations * 2)
         self._rng = rng
+        self._dropout = part.dropout
+        self._lost = np.random.default_rng([0 if scene.sensors is None else scene.sensors.seed, 2])
+        self._offset = part.offset_x, part.offset_y, part.offset_heading
 
-    def read(self, sample: np.void) -> tuple[Pose, Pose]:
+    def read(self, sample: np.void) -> tuple[Pose, Pose] | None:
+        """Return the poses of chaser and target at a sample; None for a frame that is lost."""
         error = (self._deviations * self._rng.standard_normal(6)).tolist()
+        if self._dropout and self._lost.random() < self._dropout:
+            return None
         c = sample["q"][_CHASER].tolist()
+        if any(self._offset):
+            x, y, turn = self._offset
+            cos, sin = math.cos(c[2]), math.sin(c[2])
+            c = [c[0] + cos * x - sin * y, c[1] + sin * x + cos * y, c[2] + turn]
         t = sample["q"][_TARGET].tolist()
         return (
             (c[0] + error[0], c[1] + error[1], c[2] + error[2]),

@@ -327,12 +327,18 @@ def _build(data: Any, part: Any, where: str, mistakes: list[str]) -> Any:
     return part(**values) if len(mistakes) == n_mistakes else None
 
 
+#: Present names of fields, by the names that they had in earlier versions.
+RENAMED = {"min_pulse": "min_hold"}
+
+
 def known_fields(data: Mapping[str, Any], part: type = Scene) -> dict[str, Any]:
     """Return nested data of a part without the fields that this version does not know.
 
-    A recording by a newer version may contain such fields.
+    A recording by a newer version may contain such fields.  One by an older version may have
+    fields under their former names.
     """
     kept = {}
+    data = {RENAMED.get(name, name): value for name, value in data.items()}
     for name, spec in declared(part).items():
         if name in data:
             value, kind = data[name], spec.kind

@@ -6,7 +6,8 @@ the paper):
 
     a = (m_h g - F_roll) / (m + m_h + I_p / r_p^2)
 
-Then the chaser coasts against its rolling resistance F_roll, a = -F_roll / m.  Over a distance s of
+Then the chaser coasts against its rolling resistance F_roll, a = -F_roll / m.  On a tilted floor
+F_roll is less by the pull along the heading.  Over a distance s of
 one phase, energy gives v^2 = v_0^2 + 2 a s.
 """
 
@@ -33,7 +34,7 @@ def pulled_acceleration(
 
 @kernel
 def coasting_acceleration(rolling: float, mass: float) -> float:
-    """Return the acceleration (m/s^2, <= 0) of a coasting mass (kg) by a rolling resistance (N)."""
+    """Return the acceleration (m/s^2) of a coasting mass (kg) by a resistance (N)."""
     return -rolling / mass
 
 

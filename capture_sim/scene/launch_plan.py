@@ -104,11 +104,16 @@ def travel_to_touch(scene: Scene) -> float:
     )
 
 
-def rolling_force(scene: Scene) -> float:
-    """Return the chaser's rolling resistance in straight motion, N."""
-    if scene.supports is None:
-        return 0.0
-    return scene.supports.chaser.c_rr * scene.chaser_total_mass * scene.gravity
+def resistance(scene: Scene) -> float:
+    """Return the resistance to the chaser's straight motion along its heading, N.
+
+    It is its rolling resistance, less the pull of a floor that descends ahead of it.
+    """
+    heading, (x, y) = scene.initial.chaser.theta, scene.pull
+    force = -scene.chaser_total_mass * (x * math.cos(heading) + y * math.sin(heading))
+    if scene.supports is not None:
+        force += scene.supports.chaser.c_rr * scene.chaser_total_mass * scene.gravity
+    return force
 
 
 def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
@@ -120,7 +125,7 @@ def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
     landing, height = plan.landing_speed, plan.drop_height
     if height > 0.0 and travel < height:
         return landing * math.sqrt(max(travel, 0.0) / height)
-    coasting = _coasting(rolling_force(scene), scene.chaser_total_mass)
+    coasting = _coasting(resistance(scene), scene.chaser_total_mass)
     return _speed_after(landing, coasting, travel - height)
 
 
@@ -145,7 +150,7 @@ def _unlaunched(scene: Scene) -> LaunchPlan:
     travel = travel_to_touch(scene)
     impact, contact = 0.0, math.inf
     if speed > 0.0 and math.isfinite(travel):
-        coasting = _coasting(rolling_force(scene), scene.chaser_total_mass)
+        coasting = _coasting(resistance(scene), scene.chaser_total_mass)
         impact = _speed_after(speed, coasting, travel)
     if impact > 0.0:
         contact = _time_between(speed, impact, travel)
@@ -171,7 +176,7 @@ def plan_launch(scene: Scene) -> LaunchPlan:
         return _unlaunched(scene)
     string, g = scene.string, scene.gravity
     m = scene.chaser_total_mass
-    friction = rolling_force(scene)
+    friction = resistance(scene)
     pulley = string.pulley_inertia / string.pulley_radius**2
     travel = travel_to_touch(scene)
     if not math.isfinite(travel):
@@ -188,7 +193,7 @@ def plan_launch(scene: Scene) -> LaunchPlan:
     if mass is not None and acceleration(mass) <= 0.0:
         raise SceneError(
             f"string.hanging_mass = {mass!r} kg: must be > {friction / g:.6g}, "
-            "the mass that overcomes rolling resistance"
+            "the mass that overcomes rolling resistance and the floor's tilt"
         )
     if height is None:
         assert v is not None

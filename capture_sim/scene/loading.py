@@ -307,13 +307,16 @@ def _contact_table(scene: Scene) -> None:
     name, R_t = "contact.force_table", scene.probe.tip_radius
     _check_table(name, "depth", table, MIN_DEPTH_SPACING)
     forces = [force for _, force in table]
+    if forces[0] > 0.0:
+        why = "a force cannot jump; give it a ramp, e.g. [[0, 0], [10 um, 5 N], ...]"
+        raise refuse(f"{name}[0], force", forces[0], "N", f"0: {why}")
     for k in range(1, len(table)):
         if forces[k] < forces[k - 1]:
             allowed = f">= {forces[k - 1]:.9g}, the force of the point before"
             raise refuse(f"{name}[{k}], force", forces[k], "N", allowed)
     last = len(table) - 1
-    if forces[last] <= forces[0]:
-        allowed = f"> {forces[0]:.9g}, the force at depth 0: the wall has no stiffness"
+    if forces[last] <= 0.0:
+        allowed = "> 0, the force at depth 0: the wall has no stiffness"
         raise refuse(f"{name}[{last}], force", forces[last], "N", allowed)
     limit = MAX_DEPTH_SHARE * R_t
     if table[last][0] > limit:
@@ -431,7 +434,7 @@ def _supports(scene: Scene) -> None:
             raise refuse(f"supports.{vehicle}.balls", balls, "m", allowed)
 
 
-@depends_on(*TIP_AT_RELEASE, "initial", "cone", "rail")
+@depends_on(*TIP_AT_RELEASE, "initial", "cone", "rail", "floor", "supports", "gravity")
 def _rail(scene: Scene) -> None:
     if scene.rail is None:
         return
@@ -449,6 +452,15 @@ def _rail(scene: Scene) -> None:
         value = getattr(target, name)
         if value != 0.0:
             raise refuse(f"initial.target.{name}", value, unit, "0 while the scene has a rail")
+    limit = 0.0
+    along = abs(scene.pull[0] * math.cos(chaser.theta) + scene.pull[1] * math.sin(chaser.theta))
+    if scene.supports is not None:
+        limit = scene.supports.chaser.c_rr * scene.gravity
+    if along > limit:
+        raise SceneError(
+            f"floor.tilt_x, tilt_y = {scene.floor.tilt_x!r}, {scene.floor.tilt_y!r} rad: must be, "
+            f"along the rail, <= {limit / scene.gravity:.6g}, where the chaser rolls by itself"
+        )
     travel, length = travel_to_touch(scene), scene.rail.length
     if length >= travel:
         why = "where the tip meets the cone: the rail must end before the contact"

@@ -317,6 +317,21 @@ class Supports(Checked):
 
 
 @dataclass(frozen=True)
+class Floor(Checked):
+    """Level of the floor, and of rail and supports with it; the hanging mass hangs plumb."""
+
+    tilt_x: float = quantity(
+        "rad",
+        Range(-0.1, 0.1),
+        default=0.0,
+        doc="slope along x; positive: the floor descends towards +x, where gravity pulls",
+    )
+    tilt_y: float = quantity(
+        "rad", Range(-0.1, 0.1), default=0.0, doc="slope along y; positive: it descends towards +y"
+    )
+
+
+@dataclass(frozen=True)
 class Rail(Checked):
     """Straight rail that guides the chaser along its initial heading."""
 
@@ -399,7 +414,7 @@ class Thruster(Checked):
     delay: float = quantity(
         "s", Range(0.0, 10.0), default=0.0, doc="delay from a command to its wrench"
     )
-    min_pulse: float = quantity(
+    min_hold: float = quantity(
         "s",
         Range(0.0, 10.0),
         default=0.0,
@@ -560,6 +575,22 @@ class MotionCapture(Checked):
     heading_noise: float = quantity(
         "rad", NOT_NEGATIVE, default=0.0035, doc="standard deviation of each heading"
     )
+    latency: float = quantity(
+        "s",
+        Range(0.0, 10.0),
+        default=0.0,
+        doc="time until a controller has the poses; their stamps are right",
+    )
+    dropout: float = quantity(
+        "1", Range(0.0, 1.0, high_open=True), default=0.0, doc="share of frames that are lost"
+    )
+    offset_x: float = quantity(
+        "m", default=0.0, doc="error of the chaser's marker frame, along its x"
+    )
+    offset_y: float = quantity("m", default=0.0, doc="along its y")
+    offset_heading: float = quantity(
+        "rad", Range(-math.pi, math.pi), default=0.0, doc="of its heading"
+    )
 
 
 @dataclass(frozen=True)
@@ -622,6 +653,7 @@ class Scene(Checked):
     sensors: Sensors | None = None
     thrusters: Thrusters | None = None
     gravity: float = quantity("m/s^2", POSITIVE, default=9.80665, doc="acceleration of gravity")
+    floor: Floor = Floor()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -652,6 +684,14 @@ class Scene(Checked):
     def chaser_total_mass(self) -> float:
         """Mass of the complete chaser, with cylinder and probe, kg."""
         return self.chaser.mass + self.cylinder.mass + self.probe.mass
+
+    @property
+    def pull(self) -> tuple[float, float]:
+        """Acceleration (x, y) of gravity along the floor, m/s^2; 0 on a level floor."""
+        return (
+            self.gravity * math.sin(self.floor.tilt_x),
+            self.gravity * math.sin(self.floor.tilt_y),
+        )
 
     @cached_property
     def contact_stiffness(self) -> float:

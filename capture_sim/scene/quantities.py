@@ -15,6 +15,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, field
 from typing import Any, NamedTuple
 
+import yaml
+
 from capture_sim.errors import SceneError
 from capture_sim.scene.units import comma_hint, in_si, split
 
@@ -225,10 +227,12 @@ def _points(value: Any, spec: Declared, where: str) -> tuple[tuple[float, float]
     allowed = spec.points
     assert allowed is not None
     try:
+        if isinstance(value, str):  # e.g. '[[0, 0], [0.2 mm, 4 N]]'
+            value = yaml.safe_load(value)
         found = tuple(
             (_coordinate(x, allowed.units[0]), _coordinate(y, allowed.units[1])) for x, y in value
         )
-    except (TypeError, ValueError, OverflowError):
+    except (TypeError, ValueError, OverflowError, yaml.YAMLError):
         found = ()
     is_count = allowed.fewest <= len(found) <= allowed.most
     if not is_count or not all(abs(c) <= LARGEST for point in found for c in point):

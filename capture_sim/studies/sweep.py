@@ -24,6 +24,7 @@ from capture_sim.base.journal import Journal
 from capture_sim.dynamics.memory import Memory
 from capture_sim.dynamics.samples import EXTREMES, TOUCH, Extremes
 from capture_sim.errors import MissingPackageError, SceneError, import_failure
+from capture_sim.run.controllers import control_of
 from capture_sim.run.integration import Integration, kept
 from capture_sim.run.loads import LOADS, loads_of
 from capture_sim.scene import paths
@@ -104,6 +105,7 @@ def sweep(
     limits: Mapping[str, Any] | None = None,
     rtol: float = RTOL,
     check: bool = False,
+    control: str = "",
     executor: Executor | None = None,
     report: Callable[[int, int], None] | None = None,
 ) -> pandas.DataFrame:
@@ -148,6 +150,9 @@ def sweep(
     check
         True to repeat every run at half the tolerance.  The column
         ``verdict_at_half_tolerance`` has the verdicts of the repeated runs.
+    control
+        ``"module:function"`` of a controller of the scene's thrusters, made anew for each run, see
+        :func:`capture_sim.run.controllers.control_of`.  ``sensors.*`` may then vary.
     executor
         Executor as in ``concurrent.futures``; None for one process on each core.
     report
@@ -178,7 +183,9 @@ def sweep(
     elif overrides:
         scene = change_scene(scene, overrides)
     scene = at_tolerance(scene, overrides, rtol)
-    samples = samples_of(scene, vary, runs, sample, seed, edges, correlations)
+    samples = samples_of(
+        scene, vary, runs, sample, seed, edges, correlations, is_flown=bool(control)
+    )
     if samples.notes:
         warnings.warn(notes_text(scene, list(samples.notes)), stacklevel=2)
     table = run_samples(
@@ -188,6 +195,7 @@ def sweep(
         check=check,
         executor=executor,
         report=report,
+        control=control,
     )
     if len(table) < len(samples.rows):
         warnings.warn(
@@ -218,10 +226,13 @@ def samples_of(
     seed: int = 1,
     edges: int = 0,
     correlations: Correlations | None = None,
+    *,
+    is_flown: bool = False,
 ) -> Samples:
     """Return the runs of a sweep after checking its arguments; see :func:`sweep`.
 
-    Raises SceneError if a name, a value or a combination of names is invalid.
+    ``is_flown``: a controller sees the scene's sensors.  Raises SceneError if a name, a value or a
+    combination of names is invalid.
     """
     if not isinstance(vary, Mapping):
         samples = _samples_of_table(scene, vary)
@@ -231,7 +242,8 @@ def samples_of(
             raise SceneError("vary: must have one axis or more")
         samples = make_samples(axes, runs, sample, seed, edges, correlations)
     names = [axis.name for axis in samples.axes]
-    if sensors := [name for name in names if name.startswith("sensors.")]:
+    sensors = [name for name in names if name.startswith("sensors.")]
+    if sensors and not is_flown:
         raise SceneError(f"{sensors[0]}: must not vary: verdicts are of the exact motion")
     clash = [name for name in names if name.startswith(("initial.", "rail.", "string."))]
     if clash and set(names) & set(APPROACH):
@@ -317,6 +329,7 @@ def run_samples(
     executor: Executor | None = None,
     report: Callable[[int, int], None] | None = None,
     journal: Journal | None = None,
+    control: str = "",
 ) -> pandas.DataFrame:
     """Run samples and return their table.
 
@@ -330,7 +343,9 @@ def run_samples(
         raise MissingPackageError(text) from None
     names = tuple(axis.name for axis in samples.axes)
     rows, count, invalid = samples.rows, len(samples.rows), samples.failures
-    recipe = Recipe(scene, names)
+    recipe = Recipe(scene, names, control)
+    if control:
+        control_of(scene, control)  # what is wrong with it is said before anything runs
     done = {k: _failed_row(text, check=check, limits=limits) for k, text in invalid.items()}
     for first, earlier in journal.entries if journal is not None else ():
         done |= {first + k: tuple(row) for k, row in enumerate(earlier)}
@@ -404,10 +419,14 @@ def _failed_row(text: str, *, check: bool, limits: Sequence[Limit]) -> tuple[Any
 
 @dataclasses.dataclass(frozen=True)
 class Recipe:
-    """Recipe for the scene of a run: the scene to vary, and the names of the varied inputs."""
+    """Recipe for a run: the scene to vary, and the names of the varied inputs.
+
+    ``control``: ``module:function`` of the controller that flies it, or empty.
+    """
 
     scene: Scene
     names: tuple[str, ...]
+    control: str = ""
 
     @functools.cached_property
     def _approach(self) -> Approach | None:
@@ -482,7 +501,14 @@ def _prepared(
     try:
         scene = recipe.scene_of(row)
         scenes = (scene, _at_half_tolerance(scene)) if check else (scene,)
-        return tuple(Integration(scene, next(memories)) for scene in scenes)
+        return tuple(
+            Integration(
+                scene,
+                next(memories),
+                control_of(scene, recipe.control) if recipe.control else None,
+            )
+            for scene in scenes
+        )
     except SceneError as error:
         return error
 

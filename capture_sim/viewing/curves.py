@@ -452,7 +452,7 @@ def energy_layers(
     """
     samples = samples[:: max(len(samples) // _POINTS, 1)]
     values = [np.sum([samples[field] for field in fields], axis=0) * 1e3 for *_, fields in LAYERS]
-    work = (samples["work_string"] + samples["work_thrust"]) * 1e3
+    work = (samples["work_string"] + samples["work_thrust"] + samples["work_floor"]) * 1e3
     # the samples may begin within the run: what the first one has was put in before
     put_in = sum(layer[0] for layer in values) + work - work[0]
     layers = []

@@ -4,6 +4,7 @@ import math
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from cases import cases
 from plate import (
@@ -14,16 +15,19 @@ from plate import (
     close_often,
     ideal_rig,
     plate_law,
+    plate_mass,
     predicted_restitution,
+    recorded_poses,
     response_of,
     restitution_on,
     vehicles_restitution,
 )
 
+from capture_sim import load_scene
 from capture_sim.errors import CaptureSimError
 from capture_sim.hardware.answers import Answer
 from capture_sim.hardware.guard import LoopLimits
-from capture_sim.hardware.law import WallLaw, Wrench
+from capture_sim.hardware.law import NO_LAW, WallLaw, Wrench
 from capture_sim.hardware.loop import Loop, run_in_process
 from capture_sim.hardware.rig import IDEAL, Cell, Rig, Servo, Transport
 from capture_sim.hardware.stage import LoopStage
@@ -338,3 +342,45 @@ def test_a_tip_that_does_not_follow_gives_no_lag():
     assert not run_in_process(loop, Stuck(), 0.15)
     assert loop.lag > LoopLimits().latency
     assert loop.known_lag is None
+
+
+# what the robot is sent, and what its cell shows
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
+def test_nothing_above_the_pages_acceleration_is_commanded(factor):
+    """docs/hardware_methods.md: pi v / T in the touch; after it, the probe must not ring."""
+    scene, stiffness = load_scene("_loop"), 2e4
+    law = WallLaw(stiffness, damping=3.0 * stiffness)
+    guess = WallLaw(factor * stiffness, damping=3.0 * factor * stiffness)
+    loop = Loop(LoopStage(scene, 1e-3), "model", guess, WIDE)
+    commanded = recorded_poses(loop)
+    assert not run_in_process(loop, ideal_rig(scene, law, 0.008), 1.0)
+    times, speeds = np.array([p.t for p in commanded]), np.array([[p.vx, p.vy] for p in commanded])
+    accelerations = np.hypot(*np.diff(speeds, axis=0).T) / 1e-3
+    duration = min(each.duration(plate_mass(scene), 0.1) for each in (law, guess))
+    assert accelerations.max() < 1.3 * math.pi * 0.1 / duration
+    last = loop.episodes[-1].duration + 0.05
+    assert accelerations[times[1:] > 0.05 + last + 0.1].max() < 0.3
+
+
+@pytest.mark.parametrize("method", ["none", "model"])
+@pytest.mark.parametrize("step", [0.5, -3.0])
+def test_a_bias_that_steps_is_named_and_the_contact_ends(method, step):
+    law = plate_law(MASS, 0.03)
+    rig = Rig(SCENE, law, *IDEAL[:1], Cell(), Transport(0.001, 0.0, 0.0, 0.0))
+    answer = rig.answer
+
+    def stepped(pose):
+        drift = step if pose.t > 0.25 else 0.0  # in the contact, which begins at 0.2 s
+        return [
+            one._replace(wrench=one.wrench._replace(fx=one.wrench.fx + drift))
+            for one in answer(pose)
+        ]
+
+    rig.answer = stepped
+    loop, why = close(SCENE, rig, method, law if method == "model" else NO_LAW, t_end=1.5)
+    assert not why
+    assert not loop.contact.is_on
+    [note] = [note for note in loop.notes if "drifted" in note]
+    assert float(note.split("drifted by ")[1].split(" ")[0]) == pytest.approx(abs(step), rel=0.1)

@@ -70,7 +70,7 @@ def test_momentum_is_kept_and_the_energy_is_the_work_of_the_wrench():
 
 def test_the_peak_within_a_step_counts():
     """A tip at rest that a force lets ring once on its buffer within a step."""
-    scene = load_scene("_loop")
+    scene = load_scene("_loop", ["buffer.c_A=0"])
     yields = 1.0 / scene.probe.mass + 1.0 / (scene.chaser_total_mass - scene.probe.mass)
     period = 2 * math.pi / math.sqrt(scene.buffer.k_A * yields)
     stage = LoopStage(scene, period, (scene.initial_coordinates()[0], np.zeros(8)))
@@ -108,7 +108,7 @@ def test_energy_is_that_of_the_bodies():
 
 def test_closing_speed_and_mass_are_those_of_the_rigid_vehicles():
     """An impulse on the tip of a clamped buffer changes one by its share of the other."""
-    scene = load_scene("_loop", ["buffer.k_A=1e9", "buffer.k_T=1e8"])
+    scene = load_scene("_loop", ["buffer.k_A=1e9", "buffer.k_T=1e8", "buffer.c_A=0"])
     rng = np.random.default_rng(4)
     q, _ = scene.initial_coordinates()
     q[2] = q[3] = 0.4
@@ -160,7 +160,7 @@ def test_a_bench_that_cannot_go_on_says_why():
     stage = LoopStage(load_scene("_loop"))
     with pytest.raises(SafeStopError, match="no longer finite"):
         stage.take_step(Wrench(math.nan))
-    soft = LoopStage(load_scene("_loop", ["buffer.k_A=1.0"]))
+    soft = LoopStage(load_scene("_loop", ["buffer.k_A=1.0", "buffer.c_A=0"]))
     with pytest.raises(SafeStopError, match="pushed in up to its tip"):
         for _ in range(1000):
             soft.take_step(Wrench(-100.0))

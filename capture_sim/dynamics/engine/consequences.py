@@ -53,8 +53,6 @@ _FREE_SHARE = 0.3
 #: Multiple of the rest speed above which a vehicle no longer counts as slow.  It is above 1, so
 #: that round-off does not make the vehicle slow again at once.
 _LEFT_SLOW = 2.0
-#: Penetration at which the force at the start of a touch is evaluated, m; its limit at depth 0.
-_TOUCHING = 1e-300
 #: Multiple of the slip floor; a faster slip has reversed before its event was applied.
 _LATE_SLIP = 2.0
 
@@ -119,8 +117,6 @@ def begin_touch(w, i):
     touch.start = step.t0
     touch.approach_speed = speed
     touch.largest_rate = speed
-    # the force of a preloaded wall jumps
-    touch.peak_force, _ = normal_force(_TOUCHING, speed, touch.chi, par.contact)
     touch.peak_time = step.t0
     touch.impulse_0 = y[IMPULSE + i]
     touch.dissipated_0 = y[HYSTERESIS + i]

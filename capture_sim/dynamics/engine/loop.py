@@ -12,7 +12,7 @@ from capture_sim.dynamics.engine.step_length import raise_speed_scale
 from capture_sim.dynamics.engine.steps import make_dense
 from capture_sim.dynamics.engine.work import work_inside
 from capture_sim.dynamics.model.equations import N_STATE, N_TOTAL, rate_of_change
-from capture_sim.dynamics.model.observe import observe
+from capture_sim.dynamics.model.observe import floor_work, observe
 from capture_sim.dynamics.samples import EventKind
 from capture_sim.dynamics.solver.runge_kutta import dense
 
@@ -36,6 +36,7 @@ def begin(w):
     """
     totals, weights, s = w.totals, w.stepper.weights, w.sample
     observe(w.step.t0, w.stepper.y, w, s)
+    totals.floor_0 = floor_work(w.stepper.y, w.system.par)
     totals.energy_0 = (
         s.kinetic + s.elastic_axial + s.elastic_torsion + s.elastic_contact + s.elastic_latch
     )
@@ -68,7 +69,8 @@ def keeps_energy(w):
     if par.fixed_step == 0.0:
         return True
     observe(w.step.t0, w.stepper.y, w, s)
-    supplied = totals.energy_0 + s.work_string + abs(s.work_thrust) - totals.lost_landing
+    supplied = totals.energy_0 + s.work_string + abs(s.work_thrust) + abs(s.work_floor)
+    supplied -= totals.lost_landing
     return abs(s.energy_residual) <= _MAX_RESIDUAL * supplied
 
 

@@ -28,7 +28,7 @@ def plan_rail(w):
     next_event = EventKind.LANDED if rail.taut else EventKind.RAIL_END
     if rail.taut:
         rail.acceleration = pulled_acceleration(
-            par.m_hanging, par.gravity, par.rolling_limit_S, par.m_total, par.pulley_mass
+            par.m_hanging, par.gravity, par.rail_resistance, par.m_total, par.pulley_mass
         )
         if rail.speed == 0.0 and rail.acceleration < 0.0:
             rail.acceleration = 0.0
@@ -36,7 +36,7 @@ def plan_rail(w):
     else:
         rail.acceleration = 0.0
         if rail.speed > 0.0:
-            rail.acceleration = coasting_acceleration(par.rolling_limit_S, par.m_total)
+            rail.acceleration = coasting_acceleration(par.rail_resistance, par.m_total)
         goal = par.rail_length - rail.travel
     step.t1 = math.inf
     speed_at_goal = speed_after(rail.speed, rail.acceleration, goal)

@@ -113,6 +113,7 @@ TOTALS = np.dtype(
         ("rejected", "i8"),
         ("touches", "i8"),
         ("energy_0", "f8"),  # J, at the release
+        ("floor_0", "f8"),  # result of floor_work() there, J
         ("lost_landing", "f8"),  # J, at the instant of an event
         ("lost_latch", "f8"),
         ("work_thrust", "f8"),  # of wrenches from outside, up to the start of the step, J

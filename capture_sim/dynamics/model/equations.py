@@ -366,9 +366,19 @@ def accelerate(y, f, system):
     coriolis = 2.0 * m_P * rate * spin
     R_u = f_u + m_CP * w2 * cD + moment * s2
     R_w = f_w - m_CP * w2 * sD - coriolis
+    pull_u = 0.0
+    pull_w = 0.0
+    if par.is_tilted:
+        pull_u = par.pull_x * cP + par.pull_y * sP
+        pull_w = par.pull_y * cP - par.pull_x * sP
+        R_u += m_CP * pull_u
+        R_w += m_CP * pull_w
     R_S = a * (sD * R_u + cD * R_w) - torque
     R_P = h * f_w + tip + torque - moment * w2 * sD - coriolis * r
     R_h = f_u + axial + m_P * (w2 * cD + r * s2)
+    if par.is_tilted:
+        R_P += moment * pull_w
+        R_h += m_P * pull_u
     if mode.held:
         # h has no equation of its own: forces along the probe act on the cylinder
         out.axial_force = axial - R_h
@@ -377,6 +387,11 @@ def accelerate(y, f, system):
     reduced_u = R_u - R_h
     reduced_w = R_w - ratio * R_P
     reduced_S = R_S - a * (cD * ratio * R_P + sD * R_h)
+    if par.is_tilted:
+        reduced_u += par.m_S * pull_u
+        reduced_w += par.m_S * pull_w
+        gx -= par.m_T * par.pull_x
+        gy -= par.m_T * par.pull_y
     if mode.thrusting:
         tx, ty = turned(mode.thrust[0], mode.thrust[1], sS, cS)
         reduced_u += tx * cP + ty * sP

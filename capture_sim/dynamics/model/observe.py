@@ -52,6 +52,20 @@ def kinetic_energy(y, par):
 
 
 @kernel
+def floor_work(y, par):
+    """Return the work of gravity along the floor on vehicles and buffer since q = 0, J."""
+    if not par.is_tilted:
+        return 0.0
+    sS, cS = sine_cosine(y[2])
+    sP, cP = sine_cosine(y[3])
+    beyond = (par.m_C + par.m_P) * par.a  # cylinder and probe at the hinge
+    moment = par.first_moment_0 + par.m_P * y[4]
+    x = par.m_total * y[0] + beyond * cS + moment * cP + par.m_T * y[5]
+    y_ = par.m_total * y[1] + beyond * sS + moment * sP + par.m_T * y[6]
+    return par.pull_x * x + par.pull_y * y_
+
+
+@kernel
 def mechanical_energy(y, system):
     """Return kinetic energy plus the energy stored in buffer, stops, contact and latch, J."""
     par, mode = system.par, system.mode
@@ -172,7 +186,8 @@ def observe(t, y, w, sample):
     lost = totals.lost_latch + totals.lost_landing + sample.dissipated_slide
     for i in range(AXIAL, STOP + 1):
         lost += y[i]
-    work = sample.work_string + totals.work_thrust
+    sample.work_floor = floor_work(y, par) - totals.floor_0
+    work = sample.work_string + totals.work_thrust + sample.work_floor
     sample.energy_residual = stored - totals.energy_0 - work + lost
 
 

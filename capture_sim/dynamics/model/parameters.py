@@ -88,6 +88,10 @@ PARAMETERS = np.dtype(
         ("pulley_mass", "f8"),  # I_p / r^2
         ("drop_height", "f8"),
         ("gravity", "f8"),
+        ("is_tilted", "i8"),
+        ("pull_x", "f8"),  # acceleration of gravity along the floor, m/s^2
+        ("pull_y", "f8"),
+        ("rail_resistance", "f8"),  # to the chaser's motion on the rail, with the pull, N
         ("t_end", "f8"),
         ("after_latch", "f8"),  # inf: run to t_end
         ("rtol", "f8"),
@@ -246,6 +250,11 @@ def pack(
     for group in _GROUPS:
         p.update(group(scene))
     p["gravity"] = scene.gravity
+    p["rail_resistance"] = p["rolling_limit_S"]
+    if scene.floor.tilt_x or scene.floor.tilt_y:
+        p["is_tilted"], (p["pull_x"], p["pull_y"]) = 1, scene.pull
+        along = p["pull_x"] * p["rail_x"] + p["pull_y"] * p["rail_y"]
+        p["rail_resistance"] -= scene.chaser_total_mass * along
     p["m_hanging"], p["drop_height"] = hanging_mass, drop_height
     p["speed_scale"] = speed_scale(scene, impact_speed)
     record = np.array([tuple(p.values())], PARAMETERS)

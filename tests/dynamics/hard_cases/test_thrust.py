@@ -205,7 +205,7 @@ def test_commands_are_cut_delayed_held_and_time_out():
     late = Thruster(2.0, 1.0, delay=0.25)
     assert applied(late, [(0.0, 1.0), (1.0, 0.5)], 2.0) == [(0.25, 1.0), (1.25, 0.5)]
     # the last command that waited for the end of a pulse counts
-    pulsed = Thruster(2.0, 1.0, min_pulse=0.5)
+    pulsed = Thruster(2.0, 1.0, min_hold=0.5)
     commands = [(0.0, 1.0), (0.1, 0.2), (0.2, 0.3), (0.9, 0.4)]
     assert applied(pulsed, commands, 2.0) == [(0.0, 1.0), (0.5, 0.3), (1.0, 0.4)]
     timed = applied(Thruster(2.0, 1.0), [(0.0, 1.0), (0.4, 1.0)], 3.0, timeout=0.5)
