@@ -83,7 +83,10 @@ def load_reference(name: str, scene: Scene | None = None) -> Reference:
     data = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     if scene is not None:
         wanted, there = json.loads(json.dumps(physics_of(scene))), data["physics"]
-        recorded = {key: _completed(there.get(key), getattr(scene, key)) for key in wanted}
+        new = {f.name: as_mapping(f.default) for f in fields(Scene) if f.default is not MISSING}
+        recorded = {
+            key: _completed(there.get(key, new.get(key)), getattr(scene, key)) for key in wanted
+        }
         if changed := [key for key in wanted if wanted[key] != recorded[key]]:
             raise SceneError(
                 f"{scene.name}: {', '.join(changed)} differ from the reference {name}; make it "

@@ -24,6 +24,11 @@ def answer(sample):
     return command(body(sample, CHASER), body(sample, TARGET), sample["touches"] > 0), None
 
 
+def make(scene):
+    """Return the control of one run, for --control docking_sweep:make."""
+    return Control(answer)
+
+
 def dock(changes=()):
     """Return the run of the scene with this controller."""
     return capture_sim.simulate(SCENE, changes, control=Control(answer))

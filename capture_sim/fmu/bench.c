@@ -36,6 +36,7 @@ struct cs_bench {
   double time;
   double end; /* of a run with the contact outside */
   int has_started;
+  unsigned char is_set[CS_PARAMETER_COUNT]; /* parameters, by the host */
   char message[320];
 };
 
@@ -75,6 +76,13 @@ size_t cs_parameter_count(void) { return CS_PARAMETER_COUNT; }
 
 const cs_variable *cs_parameter(size_t index) { return &cs_parameters[index]; }
 
+/* A place that another parameter has been set for keeps its value, in whatever order a host sets them. */
+static int is_of_another(const cs_bench *bench, size_t index, size_t place) {
+  for (size_t k = 0; k < CS_PARAMETER_COUNT; k++)
+    if (k != index && bench->is_set[k] && cs_places[k][0] == place) return 1;
+  return 0;
+}
+
 cs_result cs_set(cs_bench *bench, size_t index, double value) {
   const cs_variable *p = &cs_parameters[index];
   int is_above = p->low_open ? value > p->low : value >= p->low;
@@ -90,12 +98,13 @@ cs_result cs_set(cs_bench *bench, size_t index, double value) {
     return CS_REJECTED;
   }
   for (int k = 0; k < CS_PLACES; k++) {
-    if (!cs_places[index][k]) continue;
+    if (!cs_places[index][k] || is_of_another(bench, index, cs_places[index][k])) continue;
     if (p->type == CS_REAL)
       *number(bench, cs_places[index][k]) = value;
     else
       *integer(bench, cs_places[index][k]) = (int64_t)value;
   }
+  bench->is_set[index] = 1;
   if (cs_shapes_buffer[index]) *integer(bench, CS_HAS_SHAPED_BUFFER) = 1;
   return CS_OK;
 }

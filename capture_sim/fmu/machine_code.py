@@ -36,12 +36,22 @@ def instructions(*, portable: bool) -> tuple[str, ...]:
     """Return the instruction sets that a library must find on the processor when it starts.
 
     They are names that the C compiler knows, such as ``avx2``, of sets that
-    :func:`machine_code` may use on this machine.  The result is empty if ``portable`` is True, on
-    another architecture than x86-64, and if Numba is told a processor (``NUMBA_CPU_NAME``): the
-    library then checks nothing.
+    :func:`machine_code` may use on this machine, or with the processor that Numba is told
+    (``NUMBA_CPU_NAME``, ``NUMBA_CPU_FEATURES``).  The result is empty if ``portable`` is True, and
+    on another architecture than x86-64: the library then checks nothing.
+
+    FmuError if Numba is told a processor without its features, unless it is ``generic``.
     """
-    if portable or platform.machine() != "x86_64" or numba.config.CPU_NAME:
+    if portable or platform.machine() != "x86_64":
         return ()
+    told, features = numba.config.CPU_NAME, numba.config.CPU_FEATURES
+    if told and told != "generic" and not features:
+        raise FmuError(
+            f"NUMBA_CPU_NAME = {told}: must be generic, or given with NUMBA_CPU_FEATURES, so that "
+            "the unit can check its processor"
+        )
+    if told:
+        return tuple(name for name in _TESTABLE if f"+{name}" in (features or "").split(","))
     has = llvm.get_host_cpu_features()
     return tuple(name for name in _TESTABLE if has.get(name))
 

@@ -23,11 +23,6 @@ class RigContact:
         """Larger of the last two measured forces, N, during a contact; None outside contacts."""
         return max(self._latest) if self.is_on else None
 
-    def end(self) -> None:
-        """End the contact, if one is on: its force was none."""
-        self.is_on = False
-        self._latest.extend((0.0, 0.0))
-
     def add(self, force: float) -> None:
         """Add a measured force (N), and update whether the rig is in contact."""
         # two samples below half of the threshold end a contact, because a single one may be noise

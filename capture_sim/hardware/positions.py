@@ -29,7 +29,7 @@ class RunUp:
         """Return the tip's state on the path at a time (s) from ``-span`` to 0."""
         first, span = self._first, self._span
         u = 1.0 + t / span if span else 1.0
-        rates = np.array(first[4:]) * (u * u * (3.0 - 2.0 * u) if span else 0.0)
+        rates = np.array(first[4:]) * (u * u * (3.0 - 2.0 * u))  # without a path: the first speed
         back = span * (0.5 - u**3 + 0.5 * u**4)
         place = np.array(first[1:4]) - back * np.array(first[4:])
         return TipState(t, *place.tolist(), *rates.tolist())

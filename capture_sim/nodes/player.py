@@ -47,7 +47,8 @@ class PlayerNode(BenchNode):
     a warning.  At the start the player waits for the nodes named in ``wait_for``; later it waits
     whenever one of them falls behind.  A detector among them evaluates the run again, and the
     topics that it publishes are not played.  Recorders that are running take part as well.  The
-    topic launcher/hold is never played, as it moves a real chaser.  docs/recording.md explains the options.
+    topic launcher/hold is never played, as it moves a real chaser.  docs/recording.md explains the
+    options.
     """
 
     def __init__(self, **options: Any) -> None:

@@ -101,7 +101,9 @@ def tables_of(bag: Bag) -> LazyMapping[Table]:
     The topics that only show the bench have none.  If events are recorded, the touches that they
     describe are a further table, TOUCHES.
     """
-    without = {topic.absolute_name for topic in SHOWN}  # nested lists, made from the poses
+    shown = {topic.absolute_name for topic in SHOWN}
+    # ours: nested lists, made from the poses of other topics
+    without = shown if shown <= bag.topics.keys() else set()
     there = [name for name, count in bag.topics.items() if count and name not in without]
     makers = {name: partial(_table, bag, name) for name in there}
     if bag.has(BENCH_EVENT):

@@ -19,7 +19,7 @@ from capture_sim.run.sensors import Pose, SimulatedSensors, Wrench
 from capture_sim.scene.parts import Scene
 
 
-class Measured(NamedTuple):
+class Sensed(NamedTuple):
     """What the scene's sensors have given a controller by an instant.
 
     A field is None until its sensor has given it.
@@ -39,7 +39,7 @@ Controller = Callable[[Any], Commands]
 def measured_control(scene: Scene, command: Controller, rate: float | None = None) -> Control:
     """Return a control that gives a controller what the scene's sensors would have given then.
 
-    Each call has a :class:`Measured` with the newest readings that have arrived, i.e. that are
+    Each call has a :class:`Sensed` with the newest readings that have arrived, i.e. that are
     older than the sensor's latency.  They are those of the recording of the same run.  ``rate``:
     of the calls, Hz, as in :class:`capture_sim.dynamics.drive.Control`.
 
@@ -58,8 +58,8 @@ def measured_control(scene: Scene, command: Controller, rate: float | None = Non
     parts = scene.sensors
     motion_capture = None if parts is None else parts.motion_capture
     latency = 0.0 if motion_capture is None else motion_capture.latency
-    waiting: deque[Measured] = deque()  # poses that have not arrived yet
-    newest = Measured(-math.inf)
+    waiting: deque[Sensed] = deque()  # poses that have not arrived yet
+    newest = Sensed(-math.inf)
 
     def watch(samples: np.ndarray) -> None:
         nonlocal newest
@@ -68,7 +68,7 @@ def measured_control(scene: Scene, command: Controller, rate: float | None = Non
             if reading.wrench is not None:
                 newest = newest._replace(wrench=reading.wrench)
             if reading.chaser is not None:
-                waiting.append(Measured(t, t, reading.chaser, reading.target))
+                waiting.append(Sensed(t, t, reading.chaser, reading.target))
 
     def see(sample: np.void) -> Commands:
         nonlocal newest
@@ -88,7 +88,7 @@ def control_of(scene: Scene, name: str) -> Control:
 
     The function is called once for the run, with the scene.  It returns the controller, which is
     called at ``run.rate``, or a :class:`capture_sim.dynamics.drive.Control`.  If the scene has
-    sensors, the controller gets a :class:`Measured`, else the exact sample; a Control always gets
+    sensors, the controller gets a :class:`Sensed`, else the exact sample; a Control always gets
     the sample.
 
     Raises

@@ -129,18 +129,20 @@ def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
     return _speed_after(landing, coasting, travel - height)
 
 
-def expected_time(plan: LaunchPlan, travel: float) -> float:
+def expected_time(scene: Scene, plan: LaunchPlan, travel: float) -> float:
     """Return the time (s after the release) at which the chaser has moved by ``travel`` (m).
 
-    After the hanging mass has landed, the chaser is assumed to keep its speed: rolling resistance
-    is neglected there.  The result is ``inf`` if the chaser never moves.
+    It is that before the first touch.  The result is ``inf`` if the chaser does not come so far.
     """
     landing, height = plan.landing_speed, plan.drop_height
     if landing == 0.0:
         return math.inf
     if height > 0.0 and travel < height:
         return plan.landing_time * math.sqrt(max(travel, 0.0) / height)
-    return plan.landing_time + _time_between(landing, landing, travel - height)
+    speed = expected_speed(scene, plan, travel)
+    if speed == 0.0:
+        return math.inf
+    return plan.landing_time + _time_between(landing, speed, travel - height)
 
 
 def _unlaunched(scene: Scene) -> LaunchPlan:

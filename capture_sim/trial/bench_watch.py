@@ -268,7 +268,9 @@ class BenchWatch:
         else:
             if estimate.travel > MIN_MOTION and not self.has_moved:
                 self.has_moved = True
-                self._delay = max(0.0, estimate.t - expected_time(plan, estimate.travel))
+                self._delay = max(
+                    0.0, estimate.t - expected_time(self._scene, plan, estimate.travel)
+                )
             t, is_slack = estimate.t - self._delay, estimate.t - self._delay > plan.landing_time
             speed, speed_deviation = estimate.speed, estimate.speed_deviation
             fitted = math.nan if is_late else estimate.travel

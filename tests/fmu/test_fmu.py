@@ -207,6 +207,7 @@ def test_the_run_ends_where_its_scene_ends(unit, instances):
     "name, changes",
     [
         ("tilt_p10", {"buffer.k_A": 620.0, "buffer.c_A": 21.0, "friction.mu": 0.2}),
+        ("tilt_p10", {"buffer.c_A_rebound": 30.0, "buffer.c_A": 21.0}),  # whatever the order
         ("tilt_0", {"buffer.k_A3": 2e5, "buffer.c_T2": 0.3, "latch.damping": 12.0}),
         (
             "paper_designed",

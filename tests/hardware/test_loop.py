@@ -384,3 +384,24 @@ def test_a_bias_that_steps_is_named_and_the_contact_ends(method, step):
     assert not loop.contact.is_on
     [note] = [note for note in loop.notes if "drifted" in note]
     assert float(note.split("drifted by ")[1].split(" ")[0]) == pytest.approx(abs(step), rel=0.1)
+
+
+@pytest.mark.parametrize("seed", cases(few=range(8), all=range(200)))
+def test_a_drawn_rig_is_not_stopped_and_not_shaken(seed):
+    """5 to 50 kN/m, damping to 3 s/m, 1 to 10 ms, a law wrong by up to two; the default limits."""
+    rng, scene = np.random.default_rng([7, seed]), load_scene("_loop")
+    stiffness, damping = 10.0 ** rng.uniform(3.7, 4.7), rng.uniform(0.0, 3.0)
+    delay, factor = rng.uniform(0.001, 0.010), 2.0 ** rng.uniform(-1.0, 1.0)
+    law = WallLaw(stiffness, damping=damping * stiffness)
+    guess = WallLaw(factor * stiffness, damping=damping * factor * stiffness)
+    limits = LoopLimits(force=1e4, torque=1e4)
+    loop = Loop(LoopStage(scene, 1e-3), "model", guess, limits)
+    commanded = recorded_poses(loop)
+    assert not run_in_process(loop, ideal_rig(scene, law, delay), 1.0)
+    times, speeds = np.array([p.t for p in commanded]), np.array([[p.vx, p.vy] for p in commanded])
+    accelerations = np.hypot(*np.diff(speeds, axis=0).T) / 1e-3
+    duration = min(each.duration(plate_mass(scene), 0.1) for each in (law, guess))
+    assert accelerations.max() < 3.0 * math.pi * 0.1 / duration
+    ended = 0.05 + loop.episodes[-1].duration + 0.12
+    assert accelerations[times[1:] > ended].max() < 0.5
+    assert loop.energy_excess < 0.01 * limits.energy

@@ -8,7 +8,7 @@ import pytest
 from capture_sim import SceneError, load_scene, simulate, sweep
 from capture_sim.cli import main
 from capture_sim.dynamics.drive import Control
-from capture_sim.run.controllers import Measured, control_of, measured_control
+from capture_sim.run.controllers import Sensed, control_of, measured_control
 from capture_sim.studies.executors import open_executor
 
 FLYER = {
@@ -139,5 +139,5 @@ def test_what_is_no_controller_is_refused_in_one_line(module, name, says):
 def test_without_sensors_it_sees_the_exact_sample(module):
     scene = load_scene("paper_designed", FLYER)
     assert isinstance(control_of(scene, f"{module}:make"), Control)
-    assert Measured(0.0).chaser is None
+    assert Sensed(0.0).chaser is None
     assert simulate(scene, control=control_of(scene, f"{module}:make")).samples["thrust"].any()

@@ -58,7 +58,7 @@ def scenes_run(monkeypatch):
     """The scenes that a sweep in this process hands to the bench, in order; they are not run."""
     scenes = []
 
-    def note(scene, _memory):
+    def note(scene, *_):
         scenes.append(scene)
         raise SceneError("not run")
 

@@ -9,7 +9,7 @@ from cases import cases
 
 from capture_sim import load_scene
 from capture_sim.launcher.state_machine import Launcher, LauncherPhase
-from capture_sim.scene.launch_plan import rolling_force
+from capture_sim.scene.launch_plan import resistance
 from capture_sim.trial.bench_watch import BenchWatch, TravelFit, gap_to_cone
 from capture_sim.trial.rest import WINDOW
 
@@ -21,7 +21,7 @@ FRAME = 0.7  # rad and m: the bench's frame is not the scene's
 def travel_at(t, share=1.0):
     """Return the planned travel (m) at t s after the release, at ``share`` of its speed."""
     plan = Launcher(SCENE).plan
-    coast = rolling_force(SCENE) / SCENE.chaser_total_mass
+    coast = resistance(SCENE) / SCENE.chaser_total_mass
     a, tau = 0.5 * plan.landing_speed / plan.landing_time, max(t - plan.landing_time, 0.0)
     ramp = min(max(t, 0.0), plan.landing_time)
     return share * (a * ramp**2 + plan.landing_speed * tau - 0.5 * coast * tau**2)

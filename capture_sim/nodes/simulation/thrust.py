@@ -110,6 +110,7 @@ class ThrustCommands:
         self._node, self._wait_for, self._check = node, wait_for, check
         self._answer_timeout = timeout
         self._vehicles: dict[Topic, CommandedVehicle] = {}
+        self._present: dict[Topic, CommandedVehicle] = {}  # those with thrusters in this run
         self._timeout = 0.0  # s, of the run's commands
 
     def listen(self, scene: Scene) -> None:
@@ -130,7 +131,13 @@ class ThrustCommands:
         if scene.thrusters is None:
             return None
         self._timeout = scene.thrusters.timeout
-        for vehicle in self._vehicles.values():
+        # an earlier scene may have had thrusters that this one lacks
+        self._present = {
+            topic: vehicle
+            for topic, vehicle in self._vehicles.items()
+            if getattr(scene.thrusters, topic.name.partition("/")[0]) is not None
+        }
+        for vehicle in self._present.values():
             vehicle.begin()
             names = {name for full in vehicle.publishers() for name in (full, _last(full))}
             vehicle.answers = bool(names & set(self._wait_for))
@@ -144,14 +151,14 @@ class ThrustCommands:
 
     def _commands(self, scene: Scene, sample: np.void) -> Commands:
         now = convert.stamp_ns(float(sample["t"]))
-        awaited = [vehicle for vehicle in self._vehicles.values() if vehicle.answers]
+        awaited = [vehicle for vehicle in self._present.values() if vehicle.answers]
         if awaited:
             self._await(awaited, now, scene.name)
         else:
             for _ in range(_SERVED):
                 self._node.serve()
         found = [
-            self._vehicles[topic].take(now, self._timeout) if topic in self._vehicles else None
+            self._present[topic].take(now, self._timeout) if topic in self._present else None
             for topic, _ in _VEHICLES
         ]
         return found[0], found[1]

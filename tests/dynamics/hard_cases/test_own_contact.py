@@ -105,7 +105,7 @@ def test_a_linear_contact_is_half_a_period_of_its_spring(method, speed):
         {"contact.force_table": LINING},
         {"contact.force_table": LIP},
     ],
-    ids=["spring", "2.2", "lining", "lip", "pressed"],
+    ids=["spring", "2.2", "lining", "lip"],
 )
 def test_the_exact_law_returns_its_restitution_with_every_force(e, contact):
     """Exact: e and the energy lost do not depend on the elastic force."""
