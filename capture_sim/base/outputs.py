@@ -17,8 +17,12 @@ from capture_sim.errors import RecordingError
 
 #: Bytes at the begin and at the end of a file in which its mark is looked for.
 _LENGTH = 65536
-#: What this package's files contain; the last two are of plots and tables of early versions.
-_MARKS = (b"capture_sim", b"capture-sim", b"Matplotlib version", b'"nearest_distance"')
+#: What this package's files contain; the last three are of plots, tables and designs of early
+#: versions.
+_MARKS = (
+    *(b"capture_sim", b"capture-sim", b"Matplotlib version", b'"nearest_distance"'),
+    b'"refusal": ',
+)
 #: First bytes of each kind of file.
 _MAGIC = {
     b"\x89MCAP": "an MCAP recording",

@@ -7,6 +7,8 @@ import dataclasses
 import itertools
 import math
 import re
+import shlex
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -86,6 +88,7 @@ from capture_sim.studies.paper_flow import (
     design_first_contact,
     with_buffer,
 )
+from capture_sim.studies.rows import CONVERGED
 from capture_sim.studies.search import Window
 from capture_sim.studies.variables import FREE, TORSIONAL, make_variables
 
@@ -109,7 +112,7 @@ EXAMPLE = """\
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_scene(parser, "paper_designed")
+    add_scene(parser, "tilt_0")
     parser.add_argument(
         "--minimize",
         action="append",
@@ -194,6 +197,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"buffer.k_A=[450,500,560]; may be repeated (default: {','.join(FREE)}). damping_ratio is "
         "the damper as a share of the critical one. buffer.c_A_rebound keeps its ratio to "
         "buffer.c_A unless it is free",
+    )
+    parser.add_argument(
+        "--costs",
+        action="store_true",
+        help="also compute what each active limit costs in the objectives, if the row has "
+        "converged; takes an eighth of the candidates",
     )
     parser.add_argument(
         "--candidates",
@@ -330,9 +339,10 @@ def _design(
             executor=executor,
             report=show,
             archive=archive,
+            costs=options.costs,
         )
         picked = _picked(design, options.pick)
-        if picked is not None and not design.interrupted:
+        if options.costs and picked is not None and not design.interrupted:
             try:
                 costs = costs_of_limits(
                     design,
@@ -344,6 +354,9 @@ def _design(
             except KeyboardInterrupt:
                 design = dataclasses.replace(design, interrupted=True)
     sections = sections_of(design, picked, costs)
+    if options.costs and picked is not None and design.rows[picked].convergence != CONVERGED:
+        found = design.rows[picked].convergence
+        warn(f"--costs: not computed, as row {picked + 1} has not converged ({found})")
     report_front(sections)
     write_front(design, picked, costs, options.out, options.seed)
     if design.interrupted:
@@ -355,15 +368,22 @@ def _design(
     with drawing():
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.design import draw_design
-        from capture_sim.viewing.design_page import save_design_page
+        from capture_sim.viewing.design_page import asked_of, save_design_page
 
         figure = draw_design(design, picked)
         echo(f"plot in {save(figure, options.out / 'design.png')}")
-        title = f"Design of a buffer: {scene.name}"
-        path = save_design_page(title, sections, figure, options.out / "design.html")
+        asked = asked_of(design, _command_line(), options.seed, budget)
+        path = save_design_page(
+            design, picked, sections, figure, options.out / "design.html", asked
+        )
         echo(f"page in {path}")
     journal.finish()
     return OK if design.met else FAILED
+
+
+def _command_line() -> str:
+    """Return the command line as it was typed, with quotes where a shell needs them."""
+    return shlex.join(["capture-sim", *sys.argv[1:]])
 
 
 def _free(texts: Sequence[str]) -> list[str]:

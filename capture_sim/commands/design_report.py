@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from capture_sim.base.software import own_version
 from capture_sim.base.tables import Section, print_table
 from capture_sim.commands.output import echo, write_json, write_text
 from capture_sim.recording.sweep_file import head_of
@@ -23,6 +24,7 @@ from capture_sim.studies.design import Design, beaten_by
 from capture_sim.studies.limit_costs import STEPS, CostChange, LimitCost
 from capture_sim.studies.limits import CAPTURE_RANGE, LOAD_KEYS, Limit, Measure
 from capture_sim.studies.outcome import CAPTURED, Outcome, run_to_end
+from capture_sim.studies.refinement import Goal
 from capture_sim.studies.rows import LONGEST, SHARP, DesignRow
 from capture_sim.studies.variables import DAMPING_RATIO
 
@@ -60,10 +62,11 @@ def sections_of(design: Design, picked: int | None, costs: Sequence[LimitCost]) 
     found.append(dataclasses.replace(run, before=[_buffer_text(design, row), *run.before]))
     check = row.check
     if check is not None:
+        least = math.ceil(requirements.confidence * check.computed)
         text = (
-            f"captured within the limits in {check.met} of {check.computed} new draws: "
-            f"probability {check.estimate:.4f}, 95 % interval {check.low:.4f} to {check.high:.4f}; "
-            f"{requirements.confidence:.4g} required"
+            f"{requirements.confidence:.4g} required, shown if {least} of {check.computed} new "
+            f"draws are captured within the limits: {check.met} are, probability "
+            f"{check.estimate:.4f}, 95 % interval {check.low:.4f} to {check.high:.4f}"
         )
         found.append(Section("Check by draws", [text]))
     if costs:
@@ -417,9 +420,11 @@ def _without_nan(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _front_csv(design: Design) -> str:
-    """Return the front as CSV text, a line for each row, in SI units, which the head names.
+    """Return the front as CSV text, in SI units, which the head names.
 
-    The columns are the free values, all loads, and details such as the convergence of the row.
+    It has a line for each buffer that was run and that no other one beats.  Those that are rows
+    have a number, and details such as the convergence of the row.  The columns are the free values,
+    all loads, and these details.
     """
     keys = [*LOAD_KEYS, *([CAPTURE_RANGE] if design.requirements.area else [])]
     head = ["row", "knee", *(head_of(each.name, each.unit) for each in design.variables)]
@@ -429,14 +434,18 @@ def _front_csv(design: Design) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(head)
-    for number, row in enumerate(design.rows, 1):
-        candidate, sharp = row.candidate, row.sharpness
+    for candidate, number in design.whole_front:
+        row = DesignRow(candidate, Goal((), ()), convergence="")
+        if number is not None:
+            row = design.rows[number - 1]
+        sharp = row.sharpness
         values = [candidate.values[each.name] for each in design.variables]
         loads = ["" if math.isnan(x := candidate.loads[key]) else x for key in keys]
         found = [candidate.left_again, row.convergence, "" if row.stays is None else row.stays]
         found += [sharp.change, sharp.excess] if sharp else ["", ""]
         found.append("; ".join(row.at_ends))
-        writer.writerow([number, "knee" if row.is_knee else "", *values, *loads, *found])
+        shown = "" if number is None else number
+        writer.writerow([shown, "knee" if row.is_knee else "", *values, *loads, *found])
     return text.getvalue()
 
 
@@ -447,7 +456,8 @@ def outcome_of(outcome: Outcome | None) -> dict[str, Any]:
 
 def write_design(kept: Mapping[str, Any], scene: Scene | None, folder: Path) -> None:
     """Write ``kept`` as ``design.json`` and the scene, unless it is None, as ``design.yaml``."""
-    echo(f"every candidate in {write_json(folder / 'design.json', kept)}")
+    made = {"made_by": f"capture_sim {own_version()}", **kept}
+    echo(f"every candidate in {write_json(folder / 'design.json', made)}")
     if scene is not None:
         echo(f"scene in {write_text(folder / 'design.yaml', _named(scene).to_yaml())}")
 

@@ -57,6 +57,10 @@ def warn(text: str) -> None:
     print(f"capture-sim: {one_line(text)}", file=sys.stderr, flush=True)
 
 
+#: Time after which a task has a speed, s.
+_FIRST_SPEED = 1.0
+
+
 class Progress:
     """Progress of a long command: a bar on a terminal, otherwise a line every 10 s."""
 
@@ -98,7 +102,8 @@ class Progress:
         """
         now = time.monotonic()
         began, before = self._began.setdefault(name, (now, done))
-        speed = (done - before) / (now - began) if now > began else 0.0
+        # what an archive or a journal has comes at once, and is no speed
+        speed = (done - before) / (now - began) if now > began + _FIRST_SPEED else 0.0
         rate = f"{speed:.3g} {self._unit}/s" if speed else ""
         if self._bar is not None:
             if name not in self._tasks:

@@ -104,6 +104,14 @@ def travel_to_touch(scene: Scene) -> float:
     )
 
 
+def _miss(scene: Scene) -> str:
+    """Return how a straight path that touches no wall passes the cone."""
+    px, py, ux, uy = tip_at_release(scene)
+    if ux > 0.0 and abs(py - uy / ux * (px + scene.cone.L_T)) < scene.cone.R_c:
+        return "goes through BE without touching the cone"
+    return "misses the cone"
+
+
 def resistance(scene: Scene) -> float:
     """Return the resistance to the chaser's straight motion along its heading, N.
 
@@ -183,8 +191,8 @@ def plan_launch(scene: Scene) -> LaunchPlan:
     travel = travel_to_touch(scene)
     if not math.isfinite(travel):
         raise SceneError(
-            "string.impact_speed: the chaser's straight path misses the cone, "
-            "so no speed of the launch gives an impact"
+            f"string.impact_speed: the chaser's straight path {_miss(scene)}, so no speed of the "
+            "launch gives an impact"
         )
     coast = -_coasting(friction, m)
     v, mass, height = string.impact_speed, string.hanging_mass, string.drop_height

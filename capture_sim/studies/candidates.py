@@ -96,8 +96,8 @@ class Requirements:
     allow_leaving : bool
         True to accept a capture that the tip has left again at ``run.t_end``.
     hold_at_be : bool
-        True if a tip that is then further behind BE than the capture radius counts as having left:
-        it has flown through the target.
+        True if a tip that is then further behind BE than the capture radius counts as having left,
+        because it has flown through the target.  So does a tip that the scene's latch has missed.
     """
 
     objectives: tuple[Measure, ...]
@@ -313,7 +313,13 @@ class Evaluator:
         verdicts, left, behind, nearest, *loads = zip(*(e for e in found if e), strict=True)
         by_load = np.array(loads, dtype=float).T
         holds = self._requirements.hold_at_be
-        lefts = [bool(x) or (holds and y > 0.0) for x, y in zip(left, behind, strict=True)]
+        # a tip that a latch has missed only lingers at BE
+        forces = np.nan_to_num(by_load[:, LOAD_KEYS.index("max_latch_force")])
+        misses = (forces == 0.0) & (holds and self._scene.latch is not None)
+        lefts = [
+            bool(x or missed) or (holds and y > 0.0)
+            for x, y, missed in zip(left, behind, misses.tolist(), strict=True)
+        ]
         violations = self._violations(verdicts, lefts, np.array(nearest, dtype=float), by_load)
         return _Runs(list(verdicts), lefts, by_load, violations)
 
@@ -447,7 +453,7 @@ class Evaluator:
         n_first = math.ceil(_FIRST_DRAWS * len(draws))
         loads, violations = self._run_draws([values[n] for n in worth], draws[:n_first])
         n_failed = np.count_nonzero(violations > 0.0, axis=1)
-        may_succeed = n_failed <= len(draws) - self._required(len(draws))
+        may_succeed = n_failed <= len(draws) - self.required(len(draws))
         for k, n in enumerate(worth):
             if not may_succeed[k]:
                 found[n] = self._summarised(found[n], loads[k], violations[k])
@@ -459,7 +465,7 @@ class Evaluator:
                 found[n] = self._summarised(found[n], of_draws, np.append(violations[k], more))
         return self._noted(found)
 
-    def _required(self, count: int) -> int:
+    def required(self, count: int) -> int:
         """Return the number of draws, out of ``count``, that must succeed in the search."""
         share = self._requirements.confidence
         return min(math.ceil(share * count + math.sqrt(share * (1.0 - share) * count)), count)
@@ -476,7 +482,7 @@ class Evaluator:
         ``loads`` is (draws, keys), ``violations`` (draws,).  ``required`` is the number of draws
         that must not exceed the quantiles; by default that of the search.
         """
-        rank = (required or self._required(len(violations))) - 1
+        rank = (required or self.required(len(violations))) - 1
         quantiles = np.sort(np.nan_to_num(loads), axis=0)[rank].tolist()
         # a missing capture range adds to the violation
         of_range = max(self._requirements.least_range - candidate.captured_share, 0.0)

@@ -28,11 +28,11 @@ import numpy as np
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.candidates import Archive, Candidate, Evaluator, Requirements, costs_of
 from capture_sim.studies.executors import InProcess
-from capture_sim.studies.front import knee, require_pymoo
+from capture_sim.studies.front import knee, layers, require_pymoo
 from capture_sim.studies.limit_costs import LimitCost, limit_costs
 from capture_sim.studies.limits import Measure
 from capture_sim.studies.refinement import Evaluate
-from capture_sim.studies.rows import DesignRow
+from capture_sim.studies.rows import CONVERGED, DesignRow
 from capture_sim.studies.search import (
     RESERVE,
     DesignSearch,
@@ -71,6 +71,28 @@ class Design:
         return not self.refusal
 
     @property
+    def whole_front(self) -> list[tuple[Candidate, int | None]]:
+        """All buffers that were run and that no other one beats, with their rows' numbers or None.
+
+        Those without a number were run at the search's tolerance, and only to t_end.
+        """
+        objectives = self.requirements.objectives
+        numbered = [(row.candidate, number) for number, row in enumerate(self.rows, 1)]
+        known = {_rounded(each) for each, _ in numbered}
+        is_drawn = self.requirements.under is not None and not self.interrupted
+        found: list[tuple[Candidate, int | None]] = [*numbered]
+        for each in self.history:
+            values = _rounded(each)
+            if each.feasible and (each.share is not None) == is_drawn and values not in known:
+                known.add(values)
+                found.append((each, None))
+        if not found:
+            return []
+        costs = costs_of([each for each, _ in found], objectives)
+        best = set(layers(costs)[0].tolist()) | set(range(len(numbered)))
+        return [found[k] for k in sorted(best, key=lambda k: tuple(costs[k]))]
+
+    @property
     def front(self) -> tuple[Candidate, ...]:
         """The buffers of the rows, in their order."""
         return tuple(row.candidate for row in self.rows)
@@ -96,6 +118,7 @@ def design_buffer(
     executor: Executor | None = None,
     report: Callable[[Candidate], None] | None = None,
     archive: Archive | None = None,
+    costs: bool = False,
 ) -> Design:
     """Find the non-dominated buffers that capture within the limits.
 
@@ -125,6 +148,8 @@ def design_buffer(
     archive
         Archive with earlier runs, to which the runs of this call are added; see
         :class:`capture_sim.studies.candidates.Archive`.
+    costs
+        True to leave candidates for :func:`costs_of_limits`.
 
     Returns
     -------
@@ -142,7 +167,8 @@ def design_buffer(
     variables = make_variables(scene, requirements.limits, free)
     budget = candidates or default_candidates(requirements)
     search = DesignSearch(
-        scene, requirements, variables, window, seed, executor or InProcess(), report, archive
+        *(scene, requirements, variables, window, seed, executor or InProcess(), report, archive),
+        reserve=RESERVE if costs else 0.0,
     )
     interrupted, refusal = False, ""
     rows: list[DesignRow] = []
@@ -165,7 +191,7 @@ def design_buffer(
         scene,
         requirements,
         search.variables,
-        _knee_marked(rows, requirements.objectives),
+        _knee_marked(rows, requirements.objectives, is_part=window is not None),
         own,
         refusal,
         interrupted,
@@ -210,9 +236,12 @@ def costs_of_limits(
 ) -> tuple[LimitCost, ...]:
     """Return the cost of each active limit of a row in the objectives.
 
+    Empty if the row has not converged: its own gap may be larger than the cost.
     The number of candidates is the share RESERVE of the budget ``candidates``, whose default is
     that of :func:`design_buffer`.  See :mod:`capture_sim.studies.limit_costs`.
     """
+    if row.convergence != CONVERGED:
+        return ()
     scene, requirements = search_scene(design.scene), search_requirements(design.requirements)
     runs = Evaluator(scene, requirements, seed, executor or InProcess(), None, design.archive)
     draws = runs.draws(requirements.draws, 0) if requirements.under is not None else []
@@ -237,8 +266,18 @@ def costs_of_limits(
     )
 
 
-def _knee_marked(rows: Sequence[DesignRow], objectives: Sequence[Measure]) -> tuple[DesignRow, ...]:
+def _rounded(candidate: Candidate) -> tuple[str, ...]:
+    """Return the values of a buffer as texts, equal for buffers that differ by round-off."""
+    return tuple(f"{value:.9g}" for value in candidate.values.values())
+
+
+def _knee_marked(
+    rows: Sequence[DesignRow], objectives: Sequence[Measure], *, is_part: bool
+) -> tuple[DesignRow, ...]:
+    """Return the rows with the knee marked; with ``is_part``, of a window, not at its ends."""
     if not rows:
         return ()
-    at = knee(costs_of([row.candidate for row in rows], objectives))
+    costs = costs_of([row.candidate for row in rows], objectives)
+    inner = slice(1, -1) if is_part and len(rows) > 2 else slice(None)
+    at = list(range(len(rows)))[inner][knee(costs[inner])]
     return tuple(dataclasses.replace(row, is_knee=k == at) for k, row in enumerate(rows))

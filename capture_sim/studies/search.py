@@ -18,7 +18,7 @@ import numpy as np
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.candidates import Archive, Candidate, Evaluator, Requirements, costs_of
 from capture_sim.studies.coverage import cover, undecided
-from capture_sim.studies.dispersion import Probability
+from capture_sim.studies.dispersion import Probability, probability
 from capture_sim.studies.front import knee, layers, spread_points
 from capture_sim.studies.limit_costs import ACTIVE
 from capture_sim.studies.outcome import CAPTURED
@@ -100,7 +100,9 @@ class DesignSearch:
         executor: Executor,
         report: Callable[[Candidate], None] | None,
         archive: Archive | None,
+        reserve: float = 0.0,
     ) -> None:
+        self._reserve = reserve
         self._scene, self._requirements, self._window = scene, requirements, window
         self._objectives = requirements.objectives
         self.variables, self._seed = variables, seed
@@ -130,6 +132,7 @@ class DesignSearch:
         self.points = CandidatePoints(variables, self._objectives)
         self._goals: list[Goal] = []
         self._words: list[str] = []
+        self._n_lost = 0  # feasible candidates whose tip is not held until LONGEST times t_end
         #: Candidates of the last round with dispersions, each with its check in new draws.
         self.checked: list[tuple[Candidate, Probability]] = []
 
@@ -151,7 +154,7 @@ class DesignSearch:
         Return the reason if an objective does not depend on the buffer; else an empty text.
         """
         is_first_of_two = self._requirements.under is not None
-        self._left = int(budget * (_ALONE if is_first_of_two else 1.0 - RESERVE))
+        self._left = int(budget * (_ALONE if is_first_of_two else 1.0 - self._reserve))
         begin = self._earlier()
         if all(each.has(self._own[each.name]) for each in self.variables):
             # with the scene's own buffer as a start, the front is no worse than this buffer
@@ -183,6 +186,8 @@ class DesignSearch:
                     for k, (found, check) in zip(shown, self.checked, strict=True)
                     if found.feasible
                 ]
+                held = self._held_until_longest([row.candidate for row in rows])
+                rows = [row for row in rows if row.candidate in held]
                 if rows:
                     return self._front(rows)
             # no buffer passed: search again with more draws, starting from the best candidates
@@ -193,7 +198,8 @@ class DesignSearch:
     def confirmed(self, *, interrupted: bool) -> list[DesignRow]:
         """Return the front of the best buffer of each goal, run at the tolerance of the scene.
 
-        If the best candidate is infeasible at this tolerance, the next best ones are run.
+        If the best candidate is infeasible at this tolerance, or its tip is not held until
+        :data:`LONGEST` times t_end, the next best ones are run.
         """
         if interrupted:
             self._goals = self._make_goals(_MIN_ROWS if len(self._objectives) > 1 else 1)
@@ -208,10 +214,25 @@ class DesignSearch:
             if not tried:
                 break
             found = self._exact.alone([each.values for each in tried.values()])
+            held = self._held_until_longest(found)
             for k, exact in zip(tried, found, strict=True):
-                if exact.feasible:
+                if exact in held:
                     rows[k] = DesignRow(exact, self._goals[k], convergence=self._words[k])
         return self._front([rows[k] for k in sorted(rows)])
+
+    def _held_until_longest(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """Return those that are feasible, and whose tip is still held at LONGEST times t_end."""
+        feasible = [each for each in candidates if each.feasible]
+        if not feasible or self._requirements.allow_leaving:
+            return feasible
+        later = self._longer[LONGEST].alone([each.values for each in feasible])
+        held = [
+            each
+            for each, at_end in zip(feasible, later, strict=True)
+            if at_end.verdict == CAPTURED and not at_end.left_again
+        ]
+        self._n_lost += len(feasible) - len(held)
+        return held
 
     def _stage(
         self,
@@ -235,7 +256,9 @@ class DesignSearch:
         runs = min(_COVERAGE, int(_COVERAGE_SHARE * self._left))
         places = [[each.share(x[each.name]) for each in self.variables] for x in begin]
         for number, found in enumerate(cover(points, within_budget, runs, self._seed, places)):
-            is_whole = number == 0 and all(each.is_whole for each in self.variables)
+            # not of buffers that an earlier design has chosen for their objectives
+            is_spread = number == 0 and len(begin) <= 1
+            is_whole = is_spread and all(each.is_whole for each in self.variables)
             if is_whole and (reason := undecided(found, self._objectives)):
                 return reason
         count = 1
@@ -429,7 +452,11 @@ class DesignSearch:
             low, high = self._window_costs()
             levels = np.linspace(low, high, count)
         else:
-            levels = np.linspace(low, high, count)[1:-1]
+            # equal steps of the larger gap: a front may be steep in either objective
+            along = front[np.argsort(front[:, held], kind="stable")]
+            gaps = np.abs(np.diff(along, axis=0)).max(axis=1, initial=0.0)
+            way = np.concatenate([[0.0], np.cumsum(gaps)])
+            levels = np.interp(np.linspace(0.0, way[-1], count), way, along[:, held])[1:-1]
         marked = [float(at_knee[held])]
         own = self._exact.alone([self._own])[0]
         if own.feasible:
@@ -507,6 +534,15 @@ class DesignSearch:
         of_scene = self._scene, self._requirements, self.variables
         return detailed(rows, own, *of_scene, self._longer)
 
+    def _required_text(self, count: int, *, strict: bool) -> str:
+        """Return what the search (``strict``), or the check, requires of a number of draws."""
+        share = self._requirements.confidence
+        least = self._coarse.required(count) if strict else math.ceil(share * count)
+        return (
+            f"captured within the limits in {share:.0%} of the draws is required, shown if "
+            f"{least} of {count} are"
+        )
+
     def refusal(self, rows: Sequence[DesignRow]) -> str:
         """Return the reason why there is no buffer; empty if there are rows."""
         if rows:
@@ -531,19 +567,28 @@ class DesignSearch:
                 f"{measure.shown(max(values))} {measure.load.shown_in}"
             )
         with_draws = [each for each in self.history if each.share is not None]
-        best = min(with_draws or self.history, key=lambda each: each.violation)
+        best = min(self.history, key=lambda each: each.violation)
+        if with_draws:
+            best = max(with_draws, key=lambda each: _number_of(each.share))
         values_text = _values_text(best)
-        required = f"{self._requirements.confidence:.0%}"
         if self.checked:
             best, check = max(self.checked, key=lambda each: each[1].estimate)
             return (
-                f"the best {among}, {_values_text(best)}, is captured within the limits in "
-                f"{check.met} of {check.computed} new draws; {required} are required"
+                f"{self._required_text(check.computed, strict=False)}; the best {among}, "
+                f"{_values_text(best)}, is in {_share_text(check.met, check.computed)} new draws"
             )
         if best.share is not None:
+            draws = self._requirements.draws
+            own = "" if best.share else f"; its run without dispersions ends {best.verdict}"
             return (
-                f"{among}, none is captured within the limits in {required} of the draws; the "
-                f"nearest, {values_text}, is in {best.share:.1%}"
+                f"{self._required_text(draws, strict=True)}; {among}, the best, {values_text}, is "
+                f"in {_share_text(round(best.share * draws), draws)}{own}"
+            )
+        if self._n_lost:
+            n_times = f"{LONGEST:g} times {self._scene.run.t_end:g} s"
+            return (
+                f"{among}, none is held until {n_times}: the {self._n_lost} best ones leave, or "
+                "are behind BE, by then (a latch would hold the tip; --allow-leaving)"
             )
         if best.verdict != CAPTURED:
             return f"{among}, none captures; the nearest, {values_text}, ends {best.verdict}"
@@ -565,6 +610,16 @@ class DesignSearch:
             least = self._requirements.least_range
             excess = f"a capture range of {best.captured_share:.1%} ({least:.1%} required)"
         return f"{among}, none captures within the limits; the nearest, {values_text}, has {excess}"
+
+
+def _number_of(share: float | None) -> float:
+    return -1.0 if share is None else share
+
+
+def _share_text(met: int, count: int) -> str:
+    """Return a share of draws with its 95 % interval, e.g. ``92.5 % of 80 (84 to 97 %)``."""
+    low, high = probability(np.arange(count) < met)[-2:]
+    return f"{met / count:.1%} of {count} ({low:.0%} to {high:.0%})"
 
 
 def _values_text(candidate: Candidate) -> str:

@@ -18,12 +18,16 @@ from capture_sim.run.simulation import simulate
 from capture_sim.studies.candidates import Candidate, costs_of
 from capture_sim.studies.design import Design
 from capture_sim.studies.limits import CAPTURE_RANGE, Measure
-from capture_sim.studies.outcome import CAPTURED, run_to_verdict
+from capture_sim.studies.outcome import CAPTURED
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import subplots
 
 #: Axes show the front with this factor of room; on linear axes, this share of its range.
 _ROOM, _LINEAR_ROOM = 1.7, 0.3
+
+
+#: Height of a number, of the height of the panel of values.
+_NUMBER_HEIGHT = 0.045
 
 
 def draw_design(design: Design, picked: int | None = None) -> Figure:
@@ -84,12 +88,16 @@ def _draw_values(axes: Axes, design: Design, picked: int | None) -> None:
     variables = design.variables
     colours = _colours(len(design.rows))
     at = np.arange(len(variables))
+    ends = []
     for number, (row, colour) in enumerate(zip(design.rows, colours, strict=True), 1):
         shares = [each.share(row.candidate.values[each.name]) for each in variables]
         is_picked = number - 1 == picked
         axes.plot(at, shares, "o-", color=colour, lw=3.0 if is_picked else 1.5)
-        end = float(at[-1]), float(shares[-1])
-        axes.annotate(str(number), end, (8, -4), textcoords="offset points", fontsize=11)
+        ends.append((float(shares[-1]), number))
+    height = -math.inf
+    for share, number in sorted(ends):  # no number on another one
+        height = max(share, height + _NUMBER_HEIGHT)
+        axes.text(at[-1] + 0.06, height, str(number), va="center", fontsize=11)
     axes.set_xticks(
         at,
         [
@@ -109,28 +117,32 @@ def _colours(count: int) -> np.ndarray:
 
 
 def _draw_springs(axes: Axes, design: Design, picked: int | None) -> None:
-    """Draw the axial force of the buffer over its stroke until the verdict.
+    """Draw the axial force of the buffer over its inward stroke in the whole run.
 
-    Drawn are the first, the last and the picked row (else the knee), and the scene's own buffer,
-    each only if it captures.
+    Drawn are all rows and the scene's own buffer, each only if it captures.  A dot is the largest
+    force of the table, which a stop or a seat may bear and which may lie between two samples.
     """
     last = len(design.rows) - 1
-    shown = sorted({0, last, design.knee if picked is None else picked})
-    runs = [(f"row {k + 1}" if last else "design", design.rows[k].candidate) for k in shown]
-    colours = (*_colours(last + 1)[shown], style.PURPLE)
+    runs = [
+        (f"row {k + 1}" if last else "design", row.candidate) for k, row in enumerate(design.rows)
+    ]
+    colours = (*_colours(last + 1), style.PURPLE)
     for (name, candidate), colour in zip([*runs, ("own", design.own)], colours, strict=True):
         if candidate.verdict != CAPTURED:
             continue
-        scene = design.scene_of(candidate)
-        run = simulate(scene)
-        until = run_to_verdict(scene).t
-        samples = run.samples[run.samples["t"] <= until]
-        stroke, force = samples["axial_stroke"] * 1e3, samples["axial_force"]
-        axes.plot(stroke, force, color=colour, lw=1.2, label=name)
-    axes.set_xlabel("axial stroke  [mm]")
+        run = simulate(design.scene_of(candidate))
+        samples, loads = run.samples, run.loads
+        stroke, force = -samples["axial_stroke"] * 1e3, samples["axial_force"]
+        is_picked = name == f"row {(design.knee if picked is None else picked) + 1}"
+        axes.plot(stroke, force, color=colour, lw=2.0 if is_picked else 0.9, label=name)
+        k = int(np.searchsorted(samples["t"], loads["max_buffer_force_time"]))
+        k = min(k, len(samples) - 1)
+        peak = math.copysign(loads["max_buffer_force"], force[k])
+        axes.plot(stroke[k], peak, "o", color=colour, ms=6)
+    axes.set_xlabel("axial stroke, inwards  [mm]")
     axes.set_ylabel("force of the buffer  [N]")
-    axes.set_title("until the verdict", fontsize=12)
-    axes.legend(fontsize=11)
+    axes.set_title("whole run; dots: largest force", fontsize=12)
+    axes.legend(fontsize=11, ncols=2 if last > 5 else 1)
 
 
 def _of(candidates: Sequence[Candidate], measure: Measure) -> np.ndarray:
@@ -167,13 +179,19 @@ def _draw_pair(
     for label, (colour, candidates) in parts.items():
         if candidates:
             at = _of(candidates, across), _of(candidates, up)
-            axes.plot(*at, ".", color=colour, label=label, ms=4, alpha=0.6)
+            # thousands of points: as pixels in an SVG
+            axes.plot(*at, ".", color=colour, label=label, ms=4, alpha=0.6, rasterized=True)
     is_line = {across.key, up.key} == {each.key for each in design.requirements.objectives}
     front = _of(design.front, across), _of(design.front, up)
     look: dict[str, Any] = {"color": style.BLUE, "lw": 1.5, "ms": 5}
     if is_line and len(design.front) > 1:
         # no buffer between two of the front is known to be on the straight line between them
-        axes.plot(*front, "o-", drawstyle="steps-post", label="front", **look)
+        whole = [each for each, _ in design.whole_front]
+        if across.key != design.requirements.objectives[0].key:
+            whole.reverse()
+        line = _of(whole, across), _of(whole, up)
+        axes.plot(*line, "-", drawstyle="steps-post", color=style.BLUE, lw=1.5, label="front")
+        axes.plot(*front, "o", label="rows", color=style.BLUE, ms=5)
     elif design.front and third is not None:
         values = _of(design.front, third)
         marks = axes.scatter(*front, c=values, cmap="viridis", s=50, zorder=3, label="front")
@@ -183,7 +201,9 @@ def _draw_pair(
     if len(design.rows) > 1:
         for number, row in enumerate(design.rows, 1):
             at_row = _of([row.candidate], across)[0], _of([row.candidate], up)[0]
-            axes.annotate(str(number), at_row, (4, 4), textcoords="offset points", fontsize=11)
+            # neighbours of a dense front: above and below in turn
+            above = (4, 4) if number % 2 else (-12, -13)
+            axes.annotate(str(number), at_row, above, textcoords="offset points", fontsize=11)
     for label, index, marker in (
         ("knee", next((k for k, row in enumerate(design.rows) if row.is_knee), None), "*"),
         ("picked", picked, "o"),
