@@ -129,7 +129,7 @@ picture: develop
 		--vary contact.restitution='uniform(0.3, 0.9)' --runs 512 --sample latin --out build/picture/matters.csv
 	cp build/picture/matters_tornado.png docs/sweep_tornado.png
 	$(BIN)/capture-sim design examples/servicer.yaml --minimize max_axial_stroke_in,max_buffer_force \
-		--window max_axial_stroke_in=10:14mm --stroke-limit 15 --torsion-limit 30 --peak-force 345 \
+		--stroke-limit 15 --torsion-limit 30 --peak-force 345 \
 		--candidates 4000 --out build/picture/design
 	cp build/picture/design/design.png docs/design_front.png
 	$(BIN)/capture-sim report build/picture/tilt_0.mcap build/picture/tilt_p10.mcap build/picture/tilt_m10.mcap \

@@ -32,7 +32,7 @@ from capture_sim.studies.front import knee, layers, require_pymoo
 from capture_sim.studies.limit_costs import LimitCost, limit_costs
 from capture_sim.studies.limits import Measure
 from capture_sim.studies.refinement import Evaluate
-from capture_sim.studies.rows import CONVERGED, DesignRow
+from capture_sim.studies.rows import CONVERGED, UNREFINED, DesignRow
 from capture_sim.studies.search import (
     RESERVE,
     DesignSearch,
@@ -274,10 +274,15 @@ def _rounded(candidate: Candidate) -> tuple[str, ...]:
 def _knee_marked(
     rows: Sequence[DesignRow], objectives: Sequence[Measure], *, is_part: bool
 ) -> tuple[DesignRow, ...]:
-    """Return the rows with the knee marked; with ``is_part``, of a window, not at its ends."""
+    """Return the rows with the knee marked, one that was refined if there is one.
+
+    With ``is_part`` the rows are those of a window, whose ends are no knee.
+    """
     if not rows:
         return ()
-    costs = costs_of([row.candidate for row in rows], objectives)
-    inner = slice(1, -1) if is_part and len(rows) > 2 else slice(None)
-    at = list(range(len(rows)))[inner][knee(costs[inner])]
+    allowed = [k for k, row in enumerate(rows) if row.convergence != UNREFINED]
+    if is_part and len(allowed) > 2:
+        allowed = allowed[1:-1]
+    costs = costs_of([rows[k].candidate for k in allowed], objectives)
+    at = allowed[knee(costs)]
     return tuple(dataclasses.replace(row, is_knee=k == at) for k, row in enumerate(rows))

@@ -37,6 +37,8 @@ SHARP = 0.01
 LONGER, LONGEST = 3.0, 10.0
 
 CONVERGED, ENDED, SETTLED = "converged", "budget ended", "no gain left, one seed"
+#: Of a row in a gap of the front: the best buffer that was run there.
+UNREFINED = "not refined"
 
 
 @dataclass(frozen=True)

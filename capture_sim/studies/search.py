@@ -29,6 +29,7 @@ from capture_sim.studies.rows import (
     LONGER,
     LONGEST,
     SETTLED,
+    UNREFINED,
     DesignRow,
     detailed,
     lasting,
@@ -63,6 +64,9 @@ GAINED, AGREES = 1e-3, 5e-3
 _WEIGHT, _WEIGHT_AT_END = 1e-3, 0.02
 #: Maximum number of times that a range is widened.
 _WIDENINGS = 3
+#: Number of rows up to which gaps of the front are filled with buffers that were run, and the least
+#: gap that is: the logarithm of a load, so 10 %.
+_SHOWN_ROWS, _LEAST_GAP = 12, 0.1
 #: Maximum number of candidates of a row that are run at the scene's tolerance.
 _CONFIRMED = 6
 
@@ -218,7 +222,29 @@ class DesignSearch:
             for k, exact in zip(tried, found, strict=True):
                 if exact in held:
                     rows[k] = DesignRow(exact, self._goals[k], convergence=self._words[k])
-        return self._front([rows[k] for k in sorted(rows)])
+        refined = [rows[k] for k in sorted(rows)]
+        if refined and len(self._objectives) > 1 and self._window is None and not interrupted:
+            refined += self._in_gaps(refined)
+        return self._front(refined)
+
+    def _in_gaps(self, rows: Sequence[DesignRow]) -> list[DesignRow]:
+        """Return rows in the largest gaps of the front: of buffers that were run, not refined."""
+        feasible = np.flatnonzero(self.points.violations <= 0.0)
+        front = feasible[layers(self.points.costs[feasible])[0]]
+        tried, found = self.points.costs[front], list(rows)
+        while len(found) < _SHOWN_ROWS:
+            shown = costs_of([row.candidate for row in found], self._objectives)
+            gaps = np.abs(tried[:, None] - shown).max(axis=2).min(axis=1)
+            k = int(gaps.argmax())
+            if gaps[k] < _LEAST_GAP:
+                break
+            values = self.points.candidates[int(front[k])].values
+            for exact in self._held_until_longest(self._exact.alone([values])):
+                found.append(DesignRow(exact, rows[0].goal, convergence=UNREFINED))
+            front, tried = np.delete(front, k), np.delete(tried, k, axis=0)
+            if not len(front):
+                break
+        return found[len(rows) :]
 
     def _held_until_longest(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Return those that are feasible, and whose tip is still held at LONGEST times t_end."""

@@ -185,6 +185,7 @@ def test_window_that_cannot_be_is_refused_in_one_line(recorded, tmp_path, capsys
 def test_figures_and_report_show_how_far_they_are(recorded, tmp_path, capsys, monkeypatch):
     pytest.importorskip("rerun", reason="needs rerun")
     monkeypatch.setattr(output, "_PAUSE", 0.0)
+    monkeypatch.setattr(output, "_FIRST_SPEED", 0.0)
     monkeypatch.setattr(view, "pictures_of", lambda *given: pictures_of(*given)[:2])
     monkeypatch.setattr(view, "draw", lambda *_, **__: None)
     path = str(recorded[0])
