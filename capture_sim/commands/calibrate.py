@@ -90,6 +90,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "repeated",
     )
     parser.add_argument(
+        "--uncertain",
+        action="append",
+        default=[],
+        metavar="NAME=ERROR",
+        help="standard uncertainty of a value that is held, e.g. floor.tilt_x='0.02 mrad' or "
+        "target.mass=0.5%%; 0 if it is exact; may be repeated",
+    )
+    parser.add_argument(
         "--predict",
         metavar="SCENE",
         help="predict this trial: a scene, or a recording, of which only the scene and the launch "
@@ -146,6 +154,7 @@ def run(options: argparse.Namespace) -> int:
             runs,
             names,
             weighed=weighed,
+            uncertain=_uncertain(options.uncertain),
             until=options.until,
             seed=options.seed,
             report=partial(progress.at, "calibrate"),
@@ -177,6 +186,39 @@ def _weighed(scene: Scene, texts: Sequence[str]) -> dict[str, Weighed]:
             raise SceneError(f"weighed {name}: given twice: must be given once")
         weighed[name] = value
     return weighed
+
+
+def _uncertain(texts: Sequence[str]) -> dict[str, str]:
+    given: dict[str, str] = {}
+    for text in texts:
+        name, sign, error = (part.strip() for part in text.partition("="))
+        if not (name and sign and error) or name in given:
+            raise SceneError(f"--uncertain {text}: must be NAME=ERROR, each name once")
+        given[name] = error
+    return given
+
+
+#: Share of a parameter's error above which a held value's part in it is named.
+_NAMED_SHARE = 0.3
+
+
+def held_lines(found: Calibration) -> list[str]:
+    """Return a line for each parameter whose error is mostly that of held values."""
+    lines = []
+    for k, name in enumerate(found.names):
+        value, error = found.values[k], found.errors[k]
+        parts = sorted(found.held, key=lambda one: -abs(one.moves[k]))
+        parts = [one for one in parts if abs(one.moves[k]) > _NAMED_SHARE * error][:_SHOWN]
+        if not (parts and value and math.isfinite(error)):
+            continue
+        moved = ", ".join(
+            f"{one.name} +- {one.known_to:.2g} {'' if one.unit == '1' else one.unit}".rstrip()
+            + f" moves it by {one.moves[k] / value:+.2%}"
+            for one in parts
+        )
+        noise = found.noise_errors[k] / abs(value)
+        lines.append(f"{name}: +- {noise:.2%} by noise; held, {moved}")
+    return lines
 
 
 def parameter_rows(found: Calibration) -> list[list[str]]:
@@ -230,6 +272,8 @@ def _print(found: Calibration) -> None:
             if abs(found.correlation[i, j]) > 0.95:
                 echo(f"{second} and {first} are hard to separate: {found.correlation[i, j]:+.3f}")
     print_starts(found)
+    for line in held_lines(found):
+        echo(line)
     for line in _test_lines(found):
         echo(line)
     if found.prediction is not None:
@@ -309,7 +353,8 @@ def _write(found: Calibration, runs: Sequence[Run], options: argparse.Namespace)
     echo(f"calibrated scene in {path}")
     hashes = {start.trial: _sha256(Path(start.trial)) for start in found.starts}
     echo(f"values, covariance and tests in {write_json(out / JSON, as_data(found, hashes))}")
-    lines = [table_text(HEAD, parameter_rows(found)), "", *_test_lines(found)]
+    lines = [table_text(HEAD, parameter_rows(found)), "", *held_lines(found)]
+    lines += _test_lines(found)
     lines += [f"not found: {finding.line}" for finding in found.findings]
     write_text(out / "calibration.txt", "\n".join(lines) + "\n")
     with drawing():

@@ -149,4 +149,6 @@ def usual_size(name: str) -> float:
 
     A fit scales a parameter by its value, and by this size if the value is zero.
     """
-    return {"c_rr": 1e-3, "e": 0.5, "mu": 0.3, "c_A": 10.0}.get(name, 1.0)
+    sizes = {"c_rr": 1e-3, "e": 0.5, "mu": 0.3, "c_A": 10.0}
+    sizes |= {"floor.tilt_x": 1e-3, "floor.tilt_y": 1e-3}
+    return sizes.get(name, 1.0)

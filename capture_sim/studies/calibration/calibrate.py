@@ -16,11 +16,12 @@ from capture_sim.errors import SceneError, SimulationError
 from capture_sim.run.run import Run, checked
 from capture_sim.run.touches import Touches
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.paths import NO_PHYSICS, field_names, get, with_values
+from capture_sim.scene.paths import LAUNCH, NO_PHYSICS, field_names, get, with_values
 from capture_sim.studies.calibration.candidates import COMPUTED, NAMED, Score, scores
 from capture_sim.studies.calibration.checks import (
     ALARM_BLOCKS,
     ALARM_TRIALS,
+    LEFT,
     Agreeing,
     BlockMean,
     Finding,
@@ -35,6 +36,7 @@ from capture_sim.studies.calibration.descent import (
     RESTARTS,
     EndedSearch,
     Found,
+    apart,
     descend,
     grow,
     renoised,
@@ -42,7 +44,8 @@ from capture_sim.studies.calibration.descent import (
     sigma_of,
     step_covariance,
 )
-from capture_sim.studies.calibration.joint import Linear, Problem
+from capture_sim.studies.calibration.held import Held, held_of, held_parameters, uncertainties
+from capture_sim.studies.calibration.joint import Linear, Problem, inverse
 from capture_sim.studies.calibration.parameters import (
     SENSOR_ERRORS,
     Parameter,
@@ -82,6 +85,12 @@ _ALIKE = 0.3
 _RIVAL = 0.7
 #: Largest number of search steps after a candidate is added.
 _ADDED_STEPS = 6
+#: Largest number of search steps after the held values have joined.
+_HELD_STEPS = 12
+#: Number of times that the search is begun again with the axes of its own last model.
+_HELD_TRIES = 4
+#: Step of the first derivatives by a held value, as a share of its uncertainty.
+_HELD_SHARE = 0.05
 #: A fit is bad if chi2 per measured value is above this.
 _BAD = 1.5
 #: A fit whose residuals are not noise is repeated once from another start.  Standard deviation of
@@ -124,7 +133,8 @@ class Calibration:
 
     names: tuple[str, ...]  # names of the shared parameters
     values: np.ndarray  # (k,)
-    errors: np.ndarray  # (k,), standard errors; infinite if not determined
+    # (k,), standard errors by noise and by the held values; infinite if not determined
+    errors: np.ndarray
     units: tuple[str, ...]
     begun: np.ndarray  # (k,), values at which the search began
     covariance: np.ndarray  # (k, k)
@@ -143,6 +153,8 @@ class Calibration:
     simulations: int
     scene: Scene = field(repr=False)  # of the first trial, with the fitted values
     weighed: Mapping[str, Weighed] = field(default_factory=dict)
+    held: tuple[Held, ...] = ()  # values that were not asked for, with their uncertainties
+    noise_errors: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (k,), with these exact
     prediction: Prediction | None = field(default=None, repr=False)
     problem: Problem | None = field(default=None, repr=False)
     linear: Linear | None = field(default=None, repr=False)
@@ -188,11 +200,11 @@ class Calibration:
 
     @property
     def fields(self) -> dict[str, float]:
-        """Fitted values of scene fields by path, SI."""
+        """Fitted values of scene fields by path, SI; without held ones."""
         assert self.problem is not None
         return {
             path: float(value)
-            for parameter, value in zip(self.problem.parameters, self.values, strict=True)
+            for parameter, value in zip(self.problem.parameters, self.values, strict=False)
             for path in parameter.paths
         }
 
@@ -202,6 +214,7 @@ def calibrate(
     fit: Sequence[str] | None = None,
     *,
     weighed: Mapping[str, str | Weighed] | None = None,
+    uncertain: Mapping[str, str | float] | None = None,
     predict: Scene | None = None,
     placement: str | Placement | None = None,
     until: float = math.inf,
@@ -228,6 +241,10 @@ def calibrate(
     weighed
         Independently measured values by name, e.g. ``{"chaser.mass": "22.6 +- 0.02 kg"}``.  They
         are fitted too, and their errors enter the covariance.
+    uncertain
+        Standard uncertainties of values that are neither fitted nor weighed, in place of the
+        defaults of :mod:`capture_sim.studies.calibration.held`, e.g.
+        ``{"floor.tilt_x": "0.02 mrad"}``; 0 for a value that is exact.
     predict
         Scene of a future trial; the result then contains its ``prediction``.
     placement
@@ -287,7 +304,16 @@ def calibrate(
         for run in trials
     ]
     parameters = parameters_of(scene, fit, known)
-    found = fit_trials(prepared, parameters, restarts=restarts, seed=seed, report=report)
+    fitted = {path for p in parameters for path in p.paths or (p.name,)}
+    scenes = [trial.scene for trial in prepared]
+    found = fit_trials(
+        prepared,
+        parameters,
+        restarts=restarts,
+        seed=seed,
+        report=report,
+        held=held_parameters(scenes, uncertainties(scenes[0], fitted, uncertain)),
+    )
     if predict is not None:
         found = dataclasses.replace(found, prediction=predicted(found, predict, placed, seed=seed))
     return dataclasses.replace(found, weighed=known)
@@ -310,10 +336,21 @@ def predicted(
     """Return the prediction of a calibrated bench for another scene."""
     assert found.problem is not None
     assert found.linear is not None
-    k = found.problem.shared
-    covariance = step_covariance(found.linear, found.problem)[:k, :k]
+    covariance = step_covariance(found.linear, found.problem)
+    # the launch is that of the scene, and it may lack a part
+    chosen = [
+        k
+        for k, parameter in enumerate(found.problem.parameters)
+        if parameter.paths
+        and all(path not in LAUNCH and get(scene, path) is not None for path in parameter.paths)
+    ]
     return predict(
-        scene, found.problem.parameters, found.linear.place[:k], covariance, placement, seed=seed
+        scene,
+        [found.problem.parameters[k] for k in chosen],
+        found.linear.place[chosen],
+        covariance[np.ix_(chosen, chosen)],
+        placement,
+        seed=seed,
     )
 
 
@@ -359,11 +396,13 @@ def fit_trials(
     report: Callable[[int, int], None] | None = None,
     is_noise_known: bool = False,
     has_scores: bool = True,
+    held: Sequence[Parameter] = (),
 ) -> Calibration:
     """Fit parameters to trials and test the fit; see :func:`calibrate`.
 
     ``is_noise_known``: True to keep the noise of the trials, False to estimate it again from the
     residuals.  ``has_scores``: True to search also for parameters that the model lacks.
+    ``held``: weighed parameters that join the fit at its end.
     """
     compile_kernels()
     counted = _Progress(
@@ -380,6 +419,8 @@ def fit_trials(
     fitting = _Fitting(problem)
     try:
         fitting.run(begin, restarts, seed, is_noise_known=is_noise_known)
+        if held:
+            fitting.join(held, restarts, seed)
         found = _tested(fitting, has_scores=has_scores)
     except KeyboardInterrupt:
         if fitting.latest is None:
@@ -408,6 +449,9 @@ class _Fitting:
         self.problem = problem
         self.latest: tuple[Problem, Linear] | None = None
         self.found: Found | None = None
+        self.joined: EndedSearch | None = None  # the search with the held values, if they joined
+        self.fitted = problem.shared  # number of parameters, without held ones that have joined
+        self.noise: np.ndarray | None = None  # their covariance before that
 
     def run(self, begin: np.ndarray, restarts: int, seed: int, *, is_noise_known: bool) -> None:
         """Fit over a growing horizon, then with the noise of the residuals, then with restarts."""
@@ -429,6 +473,39 @@ class _Fitting:
         if _block_finding(block_means(search.linear, self.problem), self.problem) is None:
             self.found = restart(self.problem, search, rng, restarts)
         self._keep(self.found.best.linear)
+
+    def join(self, held: Sequence[Parameter], restarts: int, seed: int) -> None:
+        """Let held values join the fit as weighed parameters, and go on for a few steps."""
+        assert self.found is not None
+        narrow, at, rng = self.problem, self.found.best.linear, np.random.default_rng([seed, 1])
+        k, n = narrow.shared, len(held)
+        covariance = step_covariance(at, narrow)
+        self.noise = covariance[:k, :k]
+        wide = Problem(narrow.trials, [*narrow.parameters, *held], tick=narrow._count)
+        prior = wide.weighed()
+        place = np.insert(at.place, k, prior.centre[k : k + n])
+        wider = np.zeros((wide.dimension, wide.dimension))
+        kept = [*range(k), *range(k + n, wide.dimension)]
+        wider[np.ix_(kept, kept)] = covariance
+        # the trials know most of them better than that: with longer steps, touches would be others
+        wider[range(k, k + n), range(k, k + n)] = (_HELD_SHARE * prior.error[k : k + n]) ** 2
+        for _ in range(_HELD_TRIES):
+            search = descend(wide, place, prior, wider, most=_HELD_STEPS)
+            if search is None or search.linear.decrease < LEFT:
+                break
+            # the axes of the derivatives were wrong: those of this model are better
+            place, wider = search.linear.place, step_covariance(search.linear, wide)
+        if search is not None:
+            self.problem, self.fitted = wide, k
+            self.joined = search
+            self._keep(search.linear)
+            if (
+                not self.found.asked
+                and _block_finding(block_means(search.linear, wide), wide) is None
+            ):
+                # what had joined was lacking before, so that the restarts were left out
+                self.found = restart(wide, search, rng, restarts)
+                self.joined = self.found.best
 
     def _grown(self, problem: Problem, begin: np.ndarray, rng: np.random.Generator) -> EndedSearch:
         place, covariance = grow(problem, begin, rng, self._keep_early)
@@ -461,21 +538,31 @@ class _Fitting:
         """Return the latest state as a calibration with the finding ``unfinished``."""
         assert self.latest is not None
         problem, at = self.latest
+        self.noise = None
         finding = Finding(
             "unfinished",
             "unfinished: interrupted before the search and its tests had ended",
             "start it again",
         )
-        return _result(problem, Found(EndedSearch(at, 0)), [finding])
+        fitted = min(self.fitted, problem.shared)
+        return _result(problem, Found(EndedSearch(at, 0)), [finding], fitted=fitted)
 
 
 def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
     """Test a fit and return it as a calibration."""
     assert fitting.found is not None
     problem, found = fitting.problem, fitting.found
-    at = found.best.linear
     findings: list[Finding] = []
-    reason, _ = convergence(found)
+    left = None
+    if fitting.joined is not None:
+        # what a restart is off by counts in errors that have the held values
+        fitted = fitting.fitted
+        wide = step_covariance(fitting.joined.linear, problem)[:fitted, :fitted]
+        ends = [apart(found.best, end, wide) for end in found.others]
+        found = dataclasses.replace(found, best=fitting.joined, restarts=ends)
+        left = _left_of_fitted(fitting.joined.linear, problem, fitting.fitted)
+    reason, _ = convergence(found, left)
+    at = found.best.linear
     if reason:
         findings.append(
             Finding(
@@ -523,9 +610,27 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
                 "the model lacks something, or the scene's other values are wrong",
             )
         )
-    for direction, _ in undetermined(at, problem):
+    for direction, _ in undetermined(at, fitting.fitted):
         findings.append(Finding("undetermined", *direction_words(problem.parameters, direction)))
-    return _result(problem, found, findings, whole, each, blocks, candidates, lacking)
+    tests = whole, each, blocks, candidates, lacking
+    return _result(problem, found, findings, *tests, fitted=fitting.fitted, noise=fitting.noise)
+
+
+def _left_of_fitted(at: Linear, problem: Problem, fitted: int) -> float:
+    """Return the distance of the fitted parameters from the aim of a search, in standard errors.
+
+    The other parameters of the search are held values; where they go does not matter by itself.
+    """
+    covariance = step_covariance(at, problem)[:fitted, :fitted]
+    move = _aim(at)[:fitted]
+    return math.sqrt(max(float(move @ np.linalg.pinv(covariance) @ move), 0.0))
+
+
+def _aim(at: Linear) -> np.ndarray:
+    """Return the move (d,) to the minimum of a linear model, of the numbers that are free."""
+    move, free = np.zeros(at.place.size), at.free
+    move[free] = -inverse(at.hessian[np.ix_(free, free)]) @ at.gradient[free]
+    return move
 
 
 def lacking_text(one: Lacking) -> str:
@@ -662,29 +767,38 @@ def _result(
     blocks: Sequence[BlockMean] = (),
     candidates: Sequence[Score] = (),
     lacking: Sequence[Lacking] = (),
+    *,
+    fitted: int | None = None,
+    noise: np.ndarray | None = None,
 ) -> Calibration:
-    """Return a fit as a Calibration, in SI units."""
-    at, k = found.best.linear, problem.shared
+    """Return a fit as a Calibration, in SI units.
+
+    ``fitted``: number of parameters without the held ones; None if there are none.  ``noise``:
+    their covariance with the held ones exact.
+    """
+    at, shared_count = found.best.linear, problem.shared
+    k = shared_count if fitted is None else fitted
+    parameters = problem.parameters[:k]
     covariance = step_covariance(at, problem)
-    slopes = np.array(
-        [p.slope(float(x)) for p, x in zip(problem.parameters, at.place[:k], strict=True)]
-    )
-    values = np.array(
-        [p.value(float(x)) for p, x in zip(problem.parameters, at.place[:k], strict=True)]
-    )
+    slopes = np.array([p.slope(float(x)) for p, x in zip(parameters, at.place[:k], strict=True)])
+    values = np.array([p.value(float(x)) for p, x in zip(parameters, at.place[:k], strict=True)])
+    if k < shared_count:
+        # the search may end before its aim, where chatter is rough
+        aim = _aim(at)
+        covariance = covariance + np.outer(aim, aim)
     shared = covariance[:k, :k] * np.outer(slopes, slopes)
     errors = np.sqrt(np.maximum(np.diag(shared), 0.0))
-    for direction, error in undetermined(at, problem):
+    for direction, error in undetermined(at, k):
         if not math.isfinite(error):
             errors[np.abs(direction) > 1e-3] = math.inf
     fields, _ = problem.values(at.place)
     first = problem.trials[0].scene
     return Calibration(
-        names=tuple(p.name for p in problem.parameters),
+        names=tuple(p.name for p in parameters),
         values=values,
         errors=errors,
-        units=tuple(p.unit for p in problem.parameters),
-        begun=np.array([p.begin for p in problem.parameters]),
+        units=tuple(p.unit for p in parameters),
+        begun=np.array([p.begin for p in parameters]),
         covariance=shared,
         starts=tuple(_start_of(problem, at, n, covariance) for n in range(len(problem.trials))),
         chi2=at.chi2,
@@ -696,6 +810,15 @@ def _result(
         blocks=tuple(blocks),
         scores=tuple(candidates),
         lacking=tuple(lacking),
+        held=held_of(
+            problem.parameters,
+            at.place[:shared_count],
+            covariance[:shared_count, :shared_count],
+            k,
+        ),
+        noise_errors=errors
+        if noise is None
+        else np.sqrt(np.maximum(np.diag(noise), 0.0)) * np.abs(slopes),
         findings=tuple(findings),
         simulations=problem.simulations,
         scene=with_values(first, fields),

@@ -92,6 +92,8 @@ _FIELDS = (
     _Field("string.pulley_inertia", "inertia of the pulley", lambda s: 1e-7),
     _Field("cone.half_angle", "angle of the cone", lambda s: 1e-3),
     _Field("buffer.hinge_offset", "place of the hinge", lambda s: 1e-4),
+    _Field("floor.tilt_x", "slope of the floor along x", lambda s: 1e-5),
+    _Field("floor.tilt_y", "slope of the floor along y", lambda s: 1e-5),
     *(
         _Field(f"stops.{name}", "stop", _share(f"stops.{name}", 0.01))
         for name in ("compression", "extension", "stiffness")

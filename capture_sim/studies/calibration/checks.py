@@ -32,6 +32,8 @@ ALARM_TRIALS, ALARM_BLOCKS = 1e-4, 1e-3
 #: with chi2 above the best by less than the second number must end nearer to the best than the
 #: third (standard errors); smallest number of restarts that must do so.
 LEFT, AS_LOW, AS_NEAR, AGREEING = 2.0, 4.0, 2.0, 2
+#: Largest distance of the fitted parameters from the aim of the search with the held values.
+LEFT_OF_FITTED = 3.0
 #: Standard error, in coordinates, above which a direction of the parameters is not determined.
 VAGUE = 0.5
 
@@ -195,13 +197,12 @@ def _phases(trial: FittedTrial, t: np.ndarray, release: float) -> np.ndarray:
     return np.searchsorted(np.maximum.accumulate(ends), t, side="right")
 
 
-def undetermined(at: Linear, problem: Problem) -> list[tuple[np.ndarray, float]]:
-    """Return the directions of the shared parameters that the fit does not determine.
+def undetermined(at: Linear, k: int) -> list[tuple[np.ndarray, float]]:
+    """Return the directions of the first k parameters that the fit does not determine.
 
     Each direction (k,) has length one in coordinates, and is returned with its standard error along
     it: above ``VAGUE``, or infinite without any information.
     """
-    k = problem.shared
     if not k:
         return []
     H, rest = at.hessian[:k, :k], at.hessian[k:, k:]
@@ -250,14 +251,19 @@ def at_bounds(place: np.ndarray, problem: Problem) -> list[Parameter]:
     return found
 
 
-def convergence(found: Found) -> tuple[str, int]:
+def convergence(found: Found, left: float | None = None) -> tuple[str, int]:
     """Return the reason why a fit has not converged, and the number of restarts that agree.
 
-    The reason is empty if the fit has converged.
+    The reason is empty if the fit has converged.  ``left``: distance of the fitted parameters from
+    the aim of a search in which held values have joined, in its standard errors, which contain the
+    distance; None if none have.
     """
     agreeing = sum(higher < AS_LOW and apart < AS_NEAR for higher, apart in found.restarts)
     other = [apart for higher, apart in found.restarts if higher < AS_LOW and apart >= AS_NEAR]
-    if found.best.linear.decrease > LEFT:
+    if left is not None and left > LEFT_OF_FITTED:
+        text = f"with the held values, the search ended {left:.2g} standard errors from its aim"
+        return text, agreeing
+    if left is None and found.best.linear.decrease > LEFT:
         return f"the search ended {found.best.left:.2g} standard errors from its aim", agreeing
     if other:
         return (

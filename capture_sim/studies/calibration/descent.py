@@ -77,6 +77,7 @@ class Found:
     best: EndedSearch
     #: For each search but the best: chi2 minus that of the best, and distance in standard errors.
     restarts: list[tuple[float, float]] = field(default_factory=list)
+    others: list[EndedSearch] = field(default_factory=list, repr=False)  # these searches
     asked: int = 0  # number of successive restarts that must find no better place
 
 
@@ -372,17 +373,18 @@ def restart(
                 since_best = 0
             best = again
     ends = [found, *ends]
-    apart = [_apart(best, end, problem.shared) for end in ends if end is not best]
-    return Found(best, apart, asked=count)
+    others = [end for end in ends if end is not best]
+    covariance = best.linear.covariance[: problem.shared, : problem.shared]
+    return Found(best, [apart(best, end, covariance) for end in others], others, asked=count)
 
 
-def _apart(best: EndedSearch, other: EndedSearch, shared: int) -> tuple[float, float]:
+def apart(best: EndedSearch, other: EndedSearch, covariance: np.ndarray) -> tuple[float, float]:
     """Return chi2 of another search minus that of the best, and the distance between their ends.
 
-    The distance is that of the shared parameters, in standard errors.
+    The distance is that of the first k parameters, in the standard errors of ``covariance`` (k, k).
     """
-    off = (other.linear.place - best.linear.place)[:shared]
-    information = inverse(best.linear.covariance[:shared, :shared])
+    off = (other.linear.place - best.linear.place)[: len(covariance)]
+    information = inverse(covariance)
     return other.linear.chi2 - best.linear.chi2, math.sqrt(max(off @ information @ off, 0.0))
 
 

@@ -47,6 +47,19 @@ def as_data(found: Calibration, hashes: Mapping[str, str]) -> dict[str, Any]:
         "weighed": {
             name: {"value": w.value, "error": w.error} for name, w in found.weighed.items()
         },
+        "noise_errors": _plain(found.noise_errors),
+        "held": [
+            {
+                "name": one.name,
+                "value": one.value,
+                "error": one.error,
+                "unit": one.unit,
+                "fitted": one.fitted,
+                "known_to": one.known_to,
+                "moves": dict(zip(found.names, _plain(one.moves), strict=True)),
+            }
+            for one in found.held
+        ],
         "trials": [
             {
                 "recording": start.trial,

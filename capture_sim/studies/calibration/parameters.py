@@ -34,7 +34,7 @@ class SensorError:
     """An error of a sensor that can be fitted as a parameter."""
 
     channel: tuple[str, ...]  # quantities that have it
-    kind: str  # delay, scale or offset
+    kind: str  # delay, scale, offset or marker
     value: float  # value of a sensor without an error, SI
     size: float  # usual size of an error, SI
     unit: str
@@ -67,6 +67,13 @@ SENSOR_ERRORS: Mapping[str, SensorError] = {
     "offset.torsion": SensorError(
         ("torsion",), "offset", 0.0, 1e-3, "rad", "the torsion's sensor reads this much at rest"
     ),
+    **{
+        f"marker.{body}.{axis}": SensorError(
+            (body,), "marker", 0.0, size, unit, f"the {body}'s marker frame is off along its {axis}"
+        )
+        for body in ("chaser", "target")
+        for axis, size, unit in (("x", 1e-3, "m"), ("y", 1e-3, "m"), ("theta", 1e-3, "rad"))
+    },
 }
 
 

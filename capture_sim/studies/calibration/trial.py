@@ -390,10 +390,23 @@ def view(
         if scale != 1.0:
             placed[:, :2] = placed[:1, :2] + scale * (placed[:, :2] - placed[:1, :2])
             speed[:, :2] *= scale
+        off = [sensors.get(f"marker.{channel.name}.{axis}", 0.0) for axis in ("x", "y", "theta")]
+        if any(off):  # the frame that is measured is not the body's
+            along, across = _axes_of(placed[:, 2])
+            placed[:, :2] += off[0] * along + off[1] * across
+            turned[:, :2] += off[0] * across - off[1] * along
+            speed[:, :2] += rate[:, 2:] * (off[0] * across - off[1] * along)
+            placed[:, 2] += off[2]
         moved.append(placed)
         rates.append(speed)
         turning.append(turned)
     return View(tuple(moved), tuple(rates), tuple(turning))
+
+
+def _axes_of(heading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the unit vectors along and across bodies with these headings, (n, 2) each."""
+    c, s = np.cos(heading), np.sin(heading)
+    return np.stack([c, s], axis=1), np.stack([-s, c], axis=1)
 
 
 def residuals(
@@ -465,6 +478,12 @@ def sensor_column(trial: FittedTrial, motion: SimulatedMotion, seen: View, name:
                 change = -rate
             elif error.kind == "offset":
                 change += 1.0
+            elif error.kind == "marker":
+                axis = name.rpartition(".")[2]
+                if axis == "theta":
+                    change[:, 2] = 1.0
+                else:
+                    change[:, :2] = _axes_of(values[:, 2])[axis == "y"]
             elif channel.name in POSES:
                 change[:, :2] = values[:, :2] - values[:1, :2]
             else:
