@@ -89,6 +89,8 @@ _ADDED_STEPS = 6
 _HELD_STEPS = 12
 #: Number of times that the search is begun again with the axes of its own last model.
 _HELD_TRIES = 4
+#: Held values do not join a fit whose chi2 per measured value is above this: they are not why.
+_HOPELESS = 100.0
 #: Step of the first derivatives by a held value, as a share of its uncertainty.
 _HELD_SHARE = 0.05
 #: A fit is bad if chi2 per measured value is above this.
@@ -478,6 +480,8 @@ class _Fitting:
         """Let held values join the fit as weighed parameters, and go on for a few steps."""
         assert self.found is not None
         narrow, at, rng = self.problem, self.found.best.linear, np.random.default_rng([seed, 1])
+        if at.chi2 > _HOPELESS * narrow.rows:
+            return
         k, n = narrow.shared, len(held)
         covariance = step_covariance(at, narrow)
         self.noise = covariance[:k, :k]
@@ -493,6 +497,8 @@ class _Fitting:
             search = descend(wide, place, prior, wider, most=_HELD_STEPS)
             if search is None or search.linear.decrease < LEFT:
                 break
+            if search.linear.chi2 > _BAD * wide.rows:
+                break  # they are not why, either
             # the axes of the derivatives were wrong: those of this model are better
             place, wider = search.linear.place, step_covariance(search.linear, wide)
         if search is not None:
