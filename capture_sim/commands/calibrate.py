@@ -272,9 +272,7 @@ def _print(found: Calibration) -> None:
             if abs(found.correlation[i, j]) > 0.95:
                 echo(f"{second} and {first} are hard to separate: {found.correlation[i, j]:+.3f}")
     print_starts(found)
-    for line in held_lines(found):
-        echo(line)
-    for line in _test_lines(found):
+    for line in (*found.notes, *held_lines(found), *_test_lines(found)):
         echo(line)
     if found.prediction is not None:
         _print_prediction(found.prediction)
@@ -353,8 +351,8 @@ def _write(found: Calibration, runs: Sequence[Run], options: argparse.Namespace)
     echo(f"calibrated scene in {path}")
     hashes = {start.trial: _sha256(Path(start.trial)) for start in found.starts}
     echo(f"values, covariance and tests in {write_json(out / JSON, as_data(found, hashes))}")
-    lines = [table_text(HEAD, parameter_rows(found)), "", *held_lines(found)]
-    lines += _test_lines(found)
+    lines = [table_text(HEAD, parameter_rows(found)), ""]
+    lines += [*found.notes, *held_lines(found), *_test_lines(found)]
     lines += [f"not found: {finding.line}" for finding in found.findings]
     write_text(out / "calibration.txt", "\n".join(lines) + "\n")
     with drawing():

@@ -16,8 +16,13 @@ from capture_sim.run.series import Series
 from capture_sim.run.touches import located
 from capture_sim.scene.loading import load_scene, load_scene_text
 from capture_sim.scene.paths import changed, get
-from capture_sim.studies.calibration.calibrate import Lacking, calibrate, lacking_text
-from capture_sim.studies.calibration.candidates import Score, possible
+from capture_sim.studies.calibration.calibrate import (
+    Lacking,
+    _fit_with,
+    calibrate,
+    lacking_text,
+)
+from capture_sim.studies.calibration.candidates import FIELDS, Score, possible
 from capture_sim.studies.calibration.checks import convergence, direction_words
 from capture_sim.studies.calibration.descent import EndedSearch, Found
 from capture_sim.studies.calibration.files import as_data
@@ -110,6 +115,37 @@ def test_what_the_model_lacks_is_named_with_its_size(name, more, true):
     assert not found.is_found
     assert name in named
     assert abs(named[name].estimate - true) < max(5.0 * named[name].error, 0.02 * true)
+
+
+@pytest.mark.parametrize("name", [field.name for field in FIELDS if "stops" not in field.name])
+def test_what_is_advised_can_be_carried_out(name):
+    """Also if the scene leaves the value to be computed, or a short name has been fitted."""
+    scene = load_scene("tilt_0")
+    parameters = parameters_of(scene, (*NAMES, "c_rr"))
+    again = parameters_of(scene, _fit_with(name, parameters))
+    paths = {path for parameter in again for path in parameter.paths}
+    assert paths == {path for p in parameters for path in p.paths} | {name}
+
+
+def test_a_weighed_hanging_mass_is_held_with_its_error():
+    """The launch's own number is 1 % wrong: the fit takes the scales' value."""
+    trials = [measured_trial(load_scene("tilt_0", {"run.t_end": 3.2}), TRUE, 1)]
+    mass = get(trial_of(trials[0]).scene, "string.hanging_mass")
+    weighed = {"string.hanging_mass": f"{1.01 * mass} +- 0.3 %"}
+    found = calibrate(trials, NAMES, restarts=0, weighed=weighed)
+    held = {one.name: one for one in found.held}["string.hanging_mass"]
+    assert held.value == pytest.approx(1.01 * mass)
+    assert held.error == pytest.approx(0.003 * held.value)
+    assert abs(held.fitted - mass) < 4.0 * held.known_to
+    with pytest.raises(SceneError, match="must be within 5% of it"):
+        calibrate(trials, NAMES, weighed={"string.hanging_mass": f"{1.1 * mass} +- 0.3 %"})
+
+
+def test_what_trials_lack_and_what_is_not_used_is_said():
+    trials = two_trials()
+    series = {name: by for name, by in trials[1].series.items() if name != "torsion"}
+    found = calibrate([trials[0], trials[1].replaced(series=series)], NAMES, restarts=0)
+    assert any("trial 1: no torsion: " in note for note in found.notes)
 
 
 def test_candidates_that_trials_do_not_tell_apart_are_named_together():
@@ -280,10 +316,11 @@ def test_the_first_hold_after_the_release_ends_a_trial():
         ("chaser.mass=22.6 +- 0.1%", 22.6, 0.0226),
         ("buffer.k_A=0.64 +- 0.01 N/mm", 640.0, 10.0),
         ("chaser.inertia=4.68e-1 +- 1e-3", 0.468, 1e-3),
+        ("string.hanging_mass=412 +- 1 g", 0.412, 1e-3),
     ],
 )
 def test_weighed_values_are_read_with_units(text, value, error):
-    _, weighed = read_weighed(short_scene(), text)
+    _, weighed = read_weighed(load_scene("tilt_0"), text)
     assert weighed.value == pytest.approx(value)
     assert weighed.error == pytest.approx(error)
 

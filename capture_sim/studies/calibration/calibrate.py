@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +17,8 @@ from capture_sim.errors import SceneError, SimulationError
 from capture_sim.run.run import Run, checked
 from capture_sim.run.touches import Touches
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.paths import LAUNCH, NO_PHYSICS, field_names, get, with_values
-from capture_sim.studies.calibration.candidates import COMPUTED, NAMED, Score, scores
+from capture_sim.scene.paths import ALIASES, LAUNCH, NO_PHYSICS, field_names, get, with_values
+from capture_sim.studies.calibration.candidates import NAMED, Score, scores
 from capture_sim.studies.calibration.checks import (
     ALARM_BLOCKS,
     ALARM_TRIALS,
@@ -47,6 +48,7 @@ from capture_sim.studies.calibration.descent import (
 from capture_sim.studies.calibration.held import Held, held_of, held_parameters, uncertainties
 from capture_sim.studies.calibration.joint import Linear, Problem, inverse
 from capture_sim.studies.calibration.parameters import (
+    COMPUTED,
     SENSOR_ERRORS,
     Parameter,
     Weighed,
@@ -89,8 +91,10 @@ _ADDED_STEPS = 6
 _HELD_STEPS = 12
 #: Number of times that the search is begun again with the axes of its own last model.
 _HELD_TRIES = 4
-#: Held values do not join a fit whose chi2 per measured value is above this: they are not why.
+#: If chi2 per measured value is above this, held values are not why, and one candidate is tried.
 _HOPELESS = 100.0
+#: A weighed value of the launch is refused if it differs more from the recorded one, as a share.
+_OTHER_LAUNCH = 0.05
 #: Step of the first derivatives by a held value, as a share of its uncertainty.
 _HELD_SHARE = 0.05
 #: A fit is bad if chi2 per measured value is above this.
@@ -143,7 +147,8 @@ class Calibration:
     starts: tuple[Start, ...]  # of each trial
     chi2: float  # of all residuals and weighed values
     freedom: int  # residuals less parameters
-    left: float  # predicted distance to the minimum, standard errors
+    # predicted distance to the minimum, standard errors; of the fitted values if others are held
+    left: float
     # of each search but the best: chi2 above the best, and distance from it in standard errors
     restarts: tuple[tuple[float, float], ...]
     agreement: Agreeing  # of all trials
@@ -157,6 +162,7 @@ class Calibration:
     weighed: Mapping[str, Weighed] = field(default_factory=dict)
     held: tuple[Held, ...] = ()  # values that were not asked for, with their uncertainties
     noise_errors: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (k,), with these exact
+    notes: tuple[str, ...] = ()  # what of the trials was missing or not used
     prediction: Prediction | None = field(default=None, repr=False)
     problem: Problem | None = field(default=None, repr=False)
     linear: Linear | None = field(default=None, repr=False)
@@ -305,9 +311,13 @@ def calibrate(
         )
         for run in trials
     ]
-    parameters = parameters_of(scene, fit, known)
+    # the launch is as recorded, but for what was weighed: that is held, with its error
+    launch = {name: known[name] for name in LAUNCH if name in known}
+    prepared = [_launched_with(trial, launch) for trial in prepared]
+    parameters = parameters_of(scene, fit, {k: w for k, w in known.items() if k not in launch})
     fitted = {path for p in parameters for path in p.paths or (p.name,)}
     scenes = [trial.scene for trial in prepared]
+    uncertain = {**(uncertain or {}), **{name: w.error for name, w in launch.items()}}
     found = fit_trials(
         prepared,
         parameters,
@@ -318,7 +328,39 @@ def calibrate(
     )
     if predict is not None:
         found = dataclasses.replace(found, prediction=predicted(found, predict, placed, seed=seed))
-    return dataclasses.replace(found, weighed=known)
+    return dataclasses.replace(found, weighed=known, notes=_notes(trials, prepared))
+
+
+def _launched_with(trial: FittedTrial, launch: Mapping[str, Weighed]) -> FittedTrial:
+    """Return a trial with weighed values of its launch.
+
+    Raise SceneError if a value is not within 5 % of the recorded one.
+    """
+    for name, weighed in launch.items():
+        recorded = get(trial.scene, name)
+        if recorded is None or abs(weighed.value - recorded) > _OTHER_LAUNCH * recorded:
+            raise SceneError(
+                f"weighed {name} = {weighed.value:g}: {trial.name} was launched with "
+                f"{recorded}: must be within {_OTHER_LAUNCH:.0%} of it"
+            )
+    values = {name: weighed.value for name, weighed in launch.items()}
+    return dataclasses.replace(trial, scene=with_values(trial.scene, values)) if values else trial
+
+
+def _notes(runs: Sequence[Run], trials: Sequence[FittedTrial]) -> tuple[str, ...]:
+    """Return lines on what trials lack, and on what of them is not used."""
+    found: dict[str, list[str]] = {}
+    for run, trial in zip(runs, trials, strict=True):
+        missing = {"stroke", "torsion"} - {channel.name for channel in trial.channels}
+        if missing:
+            words = f"no {' and no '.join(sorted(missing))}: the buffer is known by poses alone"
+            found.setdefault(words, []).append(Path(trial.name).name)
+        if any(run.series.get(quantity) for quantity in ("tip_force", "cone_force")):
+            words = "of the contact force, only times and strengths of the first touches are used"
+            if trial.touches is None:
+                words = "the contact force is not used: its touches are not resolved"
+            found.setdefault(words, []).append(Path(trial.name).name)
+    return tuple(f"{', '.join(names)}: {words}" for words, names in found.items())
 
 
 def _touches_of(run: Run) -> Touches | None:
@@ -339,12 +381,18 @@ def predicted(
     assert found.problem is not None
     assert found.linear is not None
     covariance = step_covariance(found.linear, found.problem)
-    # the launch is that of the scene, and it may lack a part
+    # the launch is that of the scene, with the error of a mass that is the same; it may lack a part
+    launched_with = found.problem.trials[0].scene
     chosen = [
         k
         for k, parameter in enumerate(found.problem.parameters)
         if parameter.paths
-        and all(path not in LAUNCH and get(scene, path) is not None for path in parameter.paths)
+        and all(
+            get(scene, path) == get(launched_with, path)
+            if path in LAUNCH
+            else path in COMPUTED or get(scene, path) is not None
+            for path in parameter.paths
+        )
     ]
     return predict(
         scene,
@@ -498,20 +546,21 @@ class _Fitting:
             if search is None or search.linear.decrease < LEFT:
                 break
             if search.linear.chi2 > _BAD * wide.rows:
-                break  # they are not why, either
+                return  # they are not why, either
             # the axes of the derivatives were wrong: those of this model are better
             place, wider = search.linear.place, step_covariance(search.linear, wide)
-        if search is not None:
-            self.problem, self.fitted = wide, k
-            self.joined = search
-            self._keep(search.linear)
-            if (
-                not self.found.asked
-                and _block_finding(block_means(search.linear, wide), wide) is None
-            ):
-                # what had joined was lacking before, so that the restarts were left out
-                self.found = restart(wide, search, rng, restarts)
-                self.joined = self.found.best
+        if search is None:
+            return
+        is_noise = _block_finding(block_means(search.linear, wide), wide) is None
+        was_noise = _block_finding(block_means(at, narrow), narrow) is None
+        if not (is_noise or was_noise):
+            return  # they would hide a part of what the model lacks
+        self.problem, self.fitted, self.joined = wide, k, search
+        self._keep(search.linear)
+        if not was_noise:
+            # the restarts were left out
+            self.found = restart(wide, search, rng, restarts)
+            self.joined = self.found.best
 
     def _grown(self, problem: Problem, begin: np.ndarray, rng: np.random.Generator) -> EndedSearch:
         place, covariance = grow(problem, begin, rng, self._keep_early)
@@ -600,7 +649,8 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
         if one.rivals:
             advice = "measure them apart: the cause may also have no candidate"
         elif one.score.can_be_fitted:
-            advice = f"add it to the fit: {one.score.name}, if the bench can have it"
+            names = " ".join(_fit_with(one.score.name, problem.parameters[: fitting.fitted]))
+            advice = f"if the bench can have it, fit it too: --fit {names}"
         else:
             advice = "add it to the scene, if the bench can have it"
         if one.score.name in SENSOR_ERRORS and one.score.name.startswith("delay"):
@@ -620,6 +670,18 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
         findings.append(Finding("undetermined", *direction_words(problem.parameters, direction)))
     tests = whole, each, blocks, candidates, lacking
     return _result(problem, found, findings, *tests, fitted=fitting.fitted, noise=fitting.noise)
+
+
+def _fit_with(name: str, parameters: Sequence[Parameter]) -> list[str]:
+    """Return names of a fit with one more; a short name that has its path gives way to paths."""
+    paths = ALIASES.get(name) or (name,)
+    found: list[str] = []
+    for parameter in parameters:
+        if set(parameter.paths) & set(paths):
+            found += parameter.paths
+        else:
+            found.append(parameter.name)
+    return found if name in found else [*found, name]
 
 
 def _left_of_fitted(at: Linear, problem: Problem, fitted: int) -> float:
@@ -686,7 +748,8 @@ def _likely(candidates: Sequence[Score]) -> list[Score]:
 def _what_lacks(problem: Problem, at: Linear, candidates: Sequence[Score]) -> list[Lacking]:
     """Add the parameters that the model lacks, one at a time, and return them."""
     found: list[Lacking] = []
-    for _ in range(_MAX_ADDED):
+    most = 1 if at.chi2 > _HOPELESS * problem.rows else _MAX_ADDED
+    for _ in range(most):
         likely = _likely(candidates)
         likely = [s for s in likely if s.gain > _ALIKE * likely[0].gain][:_MAX_TRIED]
         if not likely:
@@ -700,7 +763,7 @@ def _what_lacks(problem: Problem, at: Linear, candidates: Sequence[Score]) -> li
             one = likely[0]
             found.append(Lacking(one, one.estimate, one.error, one.gain))
             break
-        if at.chi2 > _BAD * problem.rows:
+        if _BAD * problem.rows < at.chi2 < _HOPELESS * problem.rows:
             best = _with(problem, at, best[0].score, grown=True) or best
         rivals = tuple(
             each.name
@@ -720,8 +783,6 @@ def _with(
     if not score.can_be_fitted:
         return None
     scene = problem.trials[0].scene
-    if score.name in COMPUTED and get(scene, score.name) is None:
-        scene = with_values(scene, {score.name: score.estimate})
     (added,) = parameters_of(scene, [score.name])
     low, high = added.limits
     start = (
@@ -809,7 +870,7 @@ def _result(
         starts=tuple(_start_of(problem, at, n, covariance) for n in range(len(problem.trials))),
         chi2=at.chi2,
         freedom=max(problem.rows - problem.dimension + int(problem.fixed.sum()), 1),
-        left=found.best.left,
+        left=found.best.left if noise is None else _left_of_fitted(at, problem, k),
         restarts=tuple(found.restarts),
         agreement=whole or Agreeing(0.0, 0, 1.0),
         agreements=tuple(each),

@@ -9,7 +9,7 @@ part that the fitted parameters explain.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from capture_sim.scene.parts import Scene, Stops
 from capture_sim.scene.paths import ALIASES, get, range_of, with_values
 from capture_sim.studies.calibration.joint import Linear, Problem
 from capture_sim.studies.calibration.parameters import (
+    COMPUTED,
     SENSOR_ERRORS,
     declaration,
     default_names,
@@ -66,25 +67,14 @@ def _share(path: str, share: float) -> Callable[[Scene], float]:
     return lambda scene: share * abs(float(get(scene, path) or 0.0))
 
 
-def _stiffness(scene: Scene) -> float:
-    """Return the stiffness of the contact, N/m^p."""
-    return float(scene.contact_stiffness)
-
-
-#: Fields that may be null in a scene, and the function that gives their value in that case.
-COMPUTED: Mapping[str, Callable[[Scene], float]] = {
-    "buffer.c_A_rebound": lambda scene: scene.buffer.c_A,
-    "contact.stiffness": _stiffness,
-}
-
-_FIELDS = (
+FIELDS = (
     _Field("buffer.friction", "friction of the probe in its slide", lambda s: 0.01),
     _Field("buffer.c_A_rebound", "another damping outwards", lambda s: 0.01 * s.buffer.c_A),
     _Field("buffer.c_A2", "quadratic damping", lambda s: 0.1 * s.buffer.c_A),
     _Field("buffer.k_A3", "progressive axial spring", lambda s: 20.0 * s.buffer.k_A),
     _Field("buffer.c_T", "torsional damping", lambda s: 1e-3 * s.buffer.k_T),
     _Field("buffer.k_T3", "progressive torsional spring", lambda s: 100.0 * s.buffer.k_T),
-    _Field("contact.stiffness", "contact stiffness", lambda s: 0.1 * _stiffness(s)),
+    _Field("contact.stiffness", "contact stiffness", lambda s: 0.1 * s.contact_stiffness),
     _Field("latch.stiffness", "stiffness of the latch", _share("latch.stiffness", 0.05)),
     _Field("latch.damping", "damping of the latch", _share("latch.damping", 0.05)),
     _Field("latch.radius", "distance at which the latch closes", _share("latch.radius", 0.01)),
@@ -130,7 +120,7 @@ def _all(at: Linear, problem: Problem) -> Iterator[Score]:
         for name in default_names(scene)
         if name not in fitted
     )
-    for field in (*_FIELDS, *others):
+    for field in (*FIELDS, *others):
         if set(field.paths) <= paths or not _has(scene, field.paths[0]):
             continue
         if (score := _field_score(at, problem, field)) is not None:

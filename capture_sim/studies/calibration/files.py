@@ -47,6 +47,7 @@ def as_data(found: Calibration, hashes: Mapping[str, str]) -> dict[str, Any]:
         "weighed": {
             name: {"value": w.value, "error": w.error} for name, w in found.weighed.items()
         },
+        "notes": list(found.notes),
         "noise_errors": _plain(found.noise_errors),
         "held": [
             {

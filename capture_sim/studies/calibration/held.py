@@ -16,7 +16,7 @@ import numpy as np
 
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.paths import LAUNCH, get, paths_of, range_of
+from capture_sim.scene.paths import LAUNCH, get, range_of
 from capture_sim.scene.units import in_si
 from capture_sim.studies.calibration.parameters import (
     SENSOR_ERRORS,
@@ -24,6 +24,7 @@ from capture_sim.studies.calibration.parameters import (
     Weighed,
     declaration,
     parameters_of,
+    paths_known,
 )
 
 #: Standard uncertainties of the sensors' errors that are held by default, SI: no marker frame is
@@ -84,7 +85,7 @@ def uncertainties(
             sensor = SENSOR_ERRORS[name]
             found[name] = _error_of(name, sensor.unit, sensor.value, text)
             continue
-        for path in paths_of(scene, name):
+        for path in paths_known(scene, name):
             if path in fitted:
                 raise SceneError(f"uncertain {name}: is fitted: must be weighed, or not named")
             value = number_at(scene, path)

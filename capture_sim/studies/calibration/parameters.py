@@ -9,14 +9,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.paths import ALIASES, get, paths_of, range_of, usual_size
+from capture_sim.scene.paths import (
+    ALIASES,
+    LAUNCH,
+    get,
+    paths_of,
+    range_of,
+    usual_size,
+    with_values,
+)
 from capture_sim.scene.quantities import Declared, declared
 from capture_sim.scene.units import in_si
 
@@ -25,6 +33,11 @@ DEFAULT = (
     *("c_rr", "e", "mu", "c_A", "buffer.k_A", "buffer.k_T"),
     *("chaser.mass", "target.mass", "chaser.inertia", "target.inertia"),
 )
+#: Fields that may be null in a scene, and the function that gives their value in that case.
+COMPUTED: Mapping[str, Callable[[Scene], float]] = {
+    "buffer.c_A_rebound": lambda scene: scene.buffer.c_A,
+    "contact.stiffness": lambda scene: float(scene.contact_stiffness),
+}
 #: Start of the names of a trial's start poses, which are always fitted.
 START = "initial."
 
@@ -137,8 +150,9 @@ def parameters_of(
 ) -> tuple[Parameter, ...]:
     """Return the parameters with some names, followed by all others that were weighed.
 
-    ``names``: None for those of ``DEFAULT`` that the scene has.  Raise SceneError if there is no
-    name, if a name is unknown, if two names set one field, or if a weighed value is out of range.
+    ``names``: None for those of ``DEFAULT`` that the scene has.  A value that the scene leaves
+    to be computed begins at what is computed.  Raise SceneError if there is no name, if a name is
+    unknown, if two names set one field, or if a weighed value is out of range.
     """
     weighed = weighed or {}
     given = list(default_names(scene) if names is None else names)
@@ -148,6 +162,7 @@ def parameters_of(
     given += [name for name in weighed if name not in given]
     if not given:
         raise SceneError("parameters: must be one name or more")
+    scene = filled(scene, given)
     found = [_parameter(scene, name, weighed.get(name)) for name in given]
     taken: dict[str, str] = {}
     for parameter in found:
@@ -159,6 +174,12 @@ def parameters_of(
                 )
             taken[path] = parameter.name
     return tuple(found)
+
+
+def filled(scene: Scene, names: Iterable[str]) -> Scene:
+    """Return a scene with numbers for those of some fields that it leaves to be computed."""
+    values = {n: COMPUTED[n](scene) for n in names if n in COMPUTED and get(scene, n) is None}
+    return with_values(scene, values) if values else scene
 
 
 def default_names(scene: Scene) -> tuple[str, ...]:
@@ -211,10 +232,18 @@ def begun_at(parameter: Parameter, value: float) -> Parameter:
 _PLUS_MINUS = re.compile(r"\+-|\+/-|±")
 
 
+def paths_known(scene: Scene, name: str) -> tuple[str, ...]:
+    """Return the paths of a parameter, or of the hanging mass or drop height, which have errors."""
+    if name in LAUNCH[1:] and scene.string is not None:
+        return (name,)
+    return paths_of(filled(scene, [name]), name)
+
+
 def read_weighed(scene: Scene, text: str) -> tuple[str, Weighed]:
     """Return the name and the weighed value (SI) of a text ``NAME=VALUE +- ERROR [UNIT]``.
 
-    The error may be in percent of the value.  Raise SceneError if the text has another form.
+    The error may be in percent of the value.  Hanging mass and drop height can be weighed too.
+    Raise SceneError if the text has another form.
     """
     name, sign, given = (part.strip() for part in text.partition("="))
     parts = [part.strip() for part in _PLUS_MINUS.split(given)]
@@ -223,8 +252,7 @@ def read_weighed(scene: Scene, text: str) -> tuple[str, Weighed]:
             f"weighed {text}: must be NAME='VALUE +- ERROR UNIT', e.g. "
             "chaser.mass='22.6 +- 0.02 kg'"
         )
-    paths = paths_of(scene, name)
-    unit = declaration(scene, paths[0]).unit
+    unit = declaration(scene, paths_known(scene, name)[0]).unit
     value, error = parts
     _, _, own_unit = error.partition(" ")
     try:
