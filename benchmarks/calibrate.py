@@ -217,7 +217,10 @@ def recover(asked: argparse.Namespace, _: Path) -> list[str]:
 
     limit = float(chi2.ppf(0.99, len(PATHS)))
     with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as processes:
-        answers = list(processes.map(recovered, _seeds(asked)))
+        answers = []
+        for one in processes.map(recovered, _seeds(asked)):
+            answers.append(one)
+            print(one, flush=True)
     benches = [one for one in answers if one is not None]
     near = [one.off < limit for one in benches]
     is_found = [one.verdict == "found" for one in benches]

@@ -20,6 +20,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import ALIASES, LAUNCH, NO_PHYSICS, field_names, get, with_values
 from capture_sim.studies.calibration.candidates import NAMED, Score, scores
 from capture_sim.studies.calibration.checks import (
+    AGREEING,
     ALARM_BLOCKS,
     ALARM_TRIALS,
     LEFT,
@@ -558,8 +559,8 @@ class _Fitting:
         self.problem, self.fitted, self.joined = wide, k, search
         self._keep(search.linear)
         if not was_noise:
-            # the restarts were left out
-            self.found = restart(wide, search, rng, restarts)
+            # the restarts were left out; here each costs several times as much
+            self.found = restart(wide, search, rng, min(restarts, AGREEING))
             self.joined = self.found.best
 
     def _grown(self, problem: Problem, begin: np.ndarray, rng: np.random.Generator) -> EndedSearch:
