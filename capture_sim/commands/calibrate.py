@@ -203,7 +203,7 @@ _NAMED_SHARE = 0.3
 
 
 def held_lines(found: Calibration) -> list[str]:
-    """Return a line for each parameter whose error is mostly that of held values."""
+    """Return a line for each parameter to whose error held values add much."""
     lines = []
     for k, name in enumerate(found.names):
         value, error = found.values[k], found.errors[k]
@@ -346,7 +346,7 @@ def _write(found: Calibration, runs: Sequence[Run], options: argparse.Namespace)
     scene = runs[0].scene
     extends = _extended(scene, out)
     title = f"{scene.title}, calibrated by {len(runs)} trial{'s' if len(runs) > 1 else ''}"
-    path = write_text(out / SCENE, scene_text(found, extends, title))
+    path = write_text(out / SCENE, scene_text(found, scene, extends, title))
     load_scene(path)  # what is written can be read
     echo(f"calibrated scene in {path}")
     hashes = {start.trial: _sha256(Path(start.trial)) for start in found.starts}

@@ -281,6 +281,7 @@ def _knee_marked(
     if not rows:
         return ()
     allowed = [k for k, row in enumerate(rows) if row.convergence != UNREFINED]
+    allowed = allowed or list(range(len(rows)))  # those that were refined may be beaten by others
     if is_part and len(allowed) > 2:
         allowed = allowed[1:-1]
     costs = costs_of([rows[k].candidate for k in allowed], objectives)

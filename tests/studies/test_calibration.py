@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 
 import numpy as np
@@ -25,10 +26,11 @@ from capture_sim.studies.calibration.calibrate import (
 from capture_sim.studies.calibration.candidates import FIELDS, Score, possible
 from capture_sim.studies.calibration.checks import convergence, direction_words
 from capture_sim.studies.calibration.descent import EndedSearch, Found
-from capture_sim.studies.calibration.files import as_data
+from capture_sim.studies.calibration.files import as_data, read_calibrated, scene_text
 from capture_sim.studies.calibration.joint import Linear, Problem, inverse
+from capture_sim.studies.calibration.new_trial import agreement_of
 from capture_sim.studies.calibration.parameters import Weighed, parameters_of, read_weighed
-from capture_sim.studies.calibration.prediction import read_placement
+from capture_sim.studies.calibration.prediction import Placement, read_placement
 from capture_sim.studies.calibration.trial import (
     hold_after_release,
     residuals,
@@ -134,8 +136,8 @@ def test_a_weighed_hanging_mass_is_held_with_its_error():
     weighed = {"string.hanging_mass": f"{1.01 * mass} +- 0.3 %"}
     found = calibrate(trials, NAMES, restarts=0, weighed=weighed)
     held = {one.name: one for one in found.held}["string.hanging_mass"]
-    assert held.value == pytest.approx(1.01 * mass)
-    assert held.error == pytest.approx(0.003 * held.value)
+    assert held.value == mass  # as recorded
+    assert held.error == pytest.approx(0.003 * 1.01 * mass)
     assert abs(held.fitted - mass) < 4.0 * held.known_to
     with pytest.raises(SceneError, match="must be within 5% of it"):
         calibrate(trials, NAMES, weighed={"string.hanging_mass": f"{1.1 * mass} +- 0.3 %"})
@@ -365,12 +367,27 @@ def calibrate_free(scene):
     return simulate(with_values(scene, TRUE)).loads["max_axial_stroke_in"]
 
 
-def test_the_calibrated_scene_can_be_loaded():
-    found = calibrate(two_trials(), NAMES, restarts=0)
-    text = found.scene.to_yaml()
-    scene = load_scene_text(text)
-    for path, value in found.fields.items():
-        assert get(scene, path) == pytest.approx(value)
+def test_the_calibrated_scene_can_be_loaded(tmp_path):
+    """It is the bench that the fit found, with what it found of held values too."""
+    found = calibrate(two_trials(true={**TRUE, "floor.tilt_x": 4e-5}), NAMES, restarts=0)
+    known = {one.name: one.fitted for one in found.held if "marker" not in one.name}
+    assert "floor.tilt_x" in known
+    file = tmp_path / "calibrated.yaml"
+    file.write_text(scene_text(found, short_scene(), "tilt_0", "calibrated"))
+    for scene in (load_scene(file), load_scene_text(found.scene.to_yaml())):
+        for path, value in {**known, **found.fields_of(scene)}.items():
+            assert get(scene, path) == pytest.approx(value)
+
+
+def test_a_trial_agrees_with_a_calibration_that_held_values_wrong(tmp_path):
+    """The floor that the calibration found tilted is tilted in the next trial, too."""
+    true = {**TRUE, "floor.tilt_x": 9e-5, "latch.stiffness": 0.9 * short_scene().latch.stiffness}
+    found = calibrate(two_trials(true=true), (*NAMES, "c_rr"), restarts=1)
+    (tmp_path / "calibration.json").write_text(json.dumps(as_data(found, {})))
+    calibrated = read_calibrated(tmp_path)
+    coming = measured_trial(short_scene(0.1), true, 9)
+    agreement = agreement_of(coming, calibrated, Placement(2e-4, 1e-3))
+    assert agreement.agrees, agreement.sentence
 
 
 # what is held

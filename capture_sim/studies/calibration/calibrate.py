@@ -207,14 +207,21 @@ class Calibration:
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         return np.asarray(covariance / np.outer(scale, scale))
 
-    @property
-    def fields(self) -> dict[str, float]:
-        """Fitted values of scene fields by path, SI; without held ones."""
+    def fields_of(self, scene: Scene) -> dict[str, float]:
+        """Return the values that the fit found for fields of a scene by path, SI.
+
+        Held values are among them, because the fitted ones belong to them; hanging mass and drop
+        height only where the scene gives them as numbers.
+        """
         assert self.problem is not None
+        assert self.linear is not None
         return {
-            path: float(value)
-            for parameter, value in zip(self.problem.parameters, self.values, strict=False)
+            path: parameter.value(float(x))
+            for parameter, x in zip(
+                self.problem.parameters, self.linear.place[: self.problem.shared], strict=True
+            )
             for path in parameter.paths
+            if path not in LAUNCH or get(scene, path) is not None
         }
 
 
@@ -314,6 +321,7 @@ def calibrate(
     ]
     # the launch is as recorded, but for what was weighed: that is held, with its error
     launch = {name: known[name] for name in LAUNCH if name in known}
+    recorded = {name: get(prepared[0].scene, name) for name in launch}
     prepared = [_launched_with(trial, launch) for trial in prepared]
     parameters = parameters_of(scene, fit, {k: w for k, w in known.items() if k not in launch})
     fitted = {path for p in parameters for path in p.paths or (p.name,)}
@@ -329,6 +337,8 @@ def calibrate(
     )
     if predict is not None:
         found = dataclasses.replace(found, prediction=predicted(found, predict, placed, seed=seed))
+    held = [dataclasses.replace(h, value=recorded.get(h.name, h.value)) for h in found.held]
+    found = dataclasses.replace(found, held=tuple(held))
     return dataclasses.replace(found, weighed=known, notes=_notes(trials, prepared))
 
 
@@ -533,7 +543,6 @@ class _Fitting:
             return
         k, n = narrow.shared, len(held)
         covariance = step_covariance(at, narrow)
-        self.noise = covariance[:k, :k]
         wide = Problem(narrow.trials, [*narrow.parameters, *held], tick=narrow._count)
         prior = wide.weighed()
         place = np.insert(at.place, k, prior.centre[k : k + n])
@@ -557,6 +566,7 @@ class _Fitting:
         if not (is_noise or was_noise):
             return  # they would hide a part of what the model lacks
         self.problem, self.fitted, self.joined = wide, k, search
+        self.noise = covariance[:k, :k]
         self._keep(search.linear)
         if not was_noise:
             # the restarts were left out; here each costs several times as much

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from capture_sim.errors import SceneError
 from capture_sim.run.origin import scene_origin
+from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import ALIASES
 from capture_sim.studies.calibration.calibrate import STARTS, Calibration
 from capture_sim.studies.calibration.parameters import SENSOR_ERRORS, Weighed
@@ -140,6 +141,8 @@ class Calibrated:
     covariance: np.ndarray  # (k, k), SI
     is_found: bool
     findings: tuple[str, ...]
+    #: Held values by name: the scene's, and what the fit found of them with its standard error; SI.
+    held: Mapping[str, tuple[float, Weighed]] = field(default_factory=dict)
 
     @property
     def errors(self) -> np.ndarray:
@@ -194,6 +197,14 @@ def read_calibrated(path: Path) -> Calibrated:
         covariance = np.array(data["covariance"], dtype=float)
         findings = tuple(f"{f['text']}; {f['advice']}" for f in data["findings"])
         is_found = bool(data["is_found"])
+        # files of before held values joined have none
+        held = {
+            str(one["name"]): (
+                float(one["value"]),
+                Weighed(float(one["fitted"]), float(one["known_to"])),
+            )
+            for one in data.get("held", [])
+        }
     except (KeyError, TypeError, ValueError):
         raise SceneError(f"{file}: must be a {JSON} of capture-sim calibrate") from None
     k = len(names)
@@ -202,7 +213,7 @@ def read_calibrated(path: Path) -> Calibrated:
         raise SceneError(f"{file}: names, values and covariance do not belong together")
     if k and not np.linalg.eigvalsh(covariance)[0] > -1e-9 * np.trace(covariance):
         raise SceneError(f"{file}: covariance: must have no negative variance")
-    return Calibrated(str(file), names, values, covariance, is_found, findings)
+    return Calibrated(str(file), names, values, covariance, is_found, findings, held)
 
 
 #: Factor on all correlations.  It keeps the correlation of two fields of one parameter below 1,
@@ -237,10 +248,11 @@ def calibrated_dispersions(
     return vary, correlations
 
 
-def scene_text(found: Calibration, extends: str, title: str) -> str:
-    """Return the text of ``calibrated.yaml``, a scene with the fitted values.
+def scene_text(found: Calibration, scene: Scene, extends: str, title: str) -> str:
+    """Return the text of ``calibrated.yaml``, a scene with the values that the fit found.
 
-    It extends the scene ``extends``, the one of the trials.  Findings are listed as comments.
+    It extends ``scene``, that of the trials, by its name ``extends``.  Findings are listed as
+    comments.
     """
     lines = [
         f"# {title}",
@@ -249,7 +261,7 @@ def scene_text(found: Calibration, extends: str, title: str) -> str:
         f"title: {json.dumps(title)}",
     ]
     parts: dict[str, Any] = {}
-    for path, value in found.fields.items():
+    for path, value in found.fields_of(scene).items():
         inner = parts
         *owners, name = path.split(".")
         for owner in owners:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,12 +17,18 @@ from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.errors import SceneError
 from capture_sim.run.run import Run, checked
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.paths import get, with_values
+from capture_sim.scene.paths import LAUNCH, get, with_values
 from capture_sim.studies.calibration.calibrate import STARTS, Start, fit_trials
 from capture_sim.studies.calibration.checks import block_means, chi2_tail, reduced
 from capture_sim.studies.calibration.files import Calibrated
 from capture_sim.studies.calibration.joint import Linear, Problem, inverse
-from capture_sim.studies.calibration.parameters import Parameter, begun_at, parameters_of
+from capture_sim.studies.calibration.parameters import (
+    SENSOR_ERRORS,
+    Parameter,
+    Weighed,
+    begun_at,
+    parameters_of,
+)
 from capture_sim.studies.calibration.prediction import Placement
 from capture_sim.studies.calibration.trial import trial_of
 
@@ -97,15 +104,22 @@ def agreement_of(run: Run, calibrated: Calibrated, placement: Placement) -> Tria
     for path in calibrated.fields:
         if get(scene, path) is None:
             raise SceneError(f"{calibrated.path}: {path}: the scene of the trial has no such value")
-    run = run.replaced(scene=with_values(scene, calibrated.fields))
+    fields, launch, sensors = _held(scene, calibrated)
+    run = run.replaced(scene=with_values(scene, {**fields, **calibrated.fields}))
     run = run.replaced(series=checked(run).series)
     trial = trial_of(run, is_release_fitted=scene.string is not None)
+    same = {
+        path: found.value
+        for path, (value, found) in launch.items()
+        if get(trial.scene, path) == value  # the mass of the calibration's trials
+    }
+    trial = replace(trial, scene=with_values(trial.scene, same)) if same else trial
     known = _parameters(run, calibrated)
-    found = fit_trials([trial], (), restarts=0, has_scores=False)
+    found = fit_trials([trial], sensors, restarts=0, has_scores=False)
     assert found.problem is not None
     assert found.linear is not None
     k = len(known)
-    problem = Problem(found.problem.trials, known, found.simulations)
+    problem = Problem(found.problem.trials, [*known, *sensors], found.simulations)
     place = np.concatenate([[p.coordinate(p.begin) for p in known], found.linear.place])
     spread = np.zeros((problem.dimension, problem.dimension))
     slopes = np.array([p.slope(p.coordinate(p.begin)) for p in known])
@@ -121,6 +135,27 @@ def agreement_of(run: Run, calibrated: Calibrated, placement: Placement) -> Tria
         found.starts[0],
         problem.simulations,
     )
+
+
+def _held(
+    scene: Scene, calibrated: Calibrated
+) -> tuple[dict[str, float], dict[str, tuple[float, Weighed]], tuple[Parameter, ...]]:
+    """Return what a calibration found of the values that it held.
+
+    They are fields of the scene, values of the launch, and errors of sensors.  The last are
+    fitted to the trial too, because a marker frame may have been set anew.
+    """
+    fields, launch, sensors = {}, {}, {}
+    for name, (value, found) in calibrated.held.items():
+        if name in calibrated.names:
+            continue
+        if name in SENSOR_ERRORS:
+            sensors[name] = found
+        elif name in LAUNCH:
+            launch[name] = value, found
+        elif get(scene, name) is not None:
+            fields[name] = found.value
+    return fields, launch, parameters_of(scene, list(sensors), sensors) if sensors else ()
 
 
 def _parameters(run: Run, calibrated: Calibrated) -> list[Parameter]:
