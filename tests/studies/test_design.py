@@ -356,12 +356,12 @@ def test_the_command_leaves_scenes_that_run_to_the_figures_of_its_table(tmp_path
 def test_an_active_limit_has_a_cost_by_runs(servicer):
     """A stroke that limits the force: 1 % more of it, and a design for that."""
     limits = make_limits({"max_axial_stroke_in": 0.010})
-    found = design_buffer(servicer, Requirements(FORCE, limits), DAMPER, candidates=150)
+    found = design_buffer(servicer, Requirements(FORCE, limits), DAMPER, candidates=1500)
     (cost,) = costs_of_limits(found, found.rows[0])
     assert cost.use == pytest.approx(1.0, abs=1e-3)
     ((change,), (more,)) = cost.changes
     wider = Requirements(FORCE, make_limits({"max_axial_stroke_in": 0.0101}))
-    again = design_buffer(servicer, wider, DAMPER, candidates=150)
+    again = design_buffer(servicer, wider, DAMPER, candidates=1500)
     least = [each.front[0].loads["max_buffer_force"] for each in (found, again)]
     assert more.value < change.value < 0.0
     assert change.value == pytest.approx(least[1] / least[0] - 1.0, abs=3.0 * change.error + 1e-3)
