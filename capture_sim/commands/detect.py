@@ -13,6 +13,7 @@ from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.detection.nearest import in_words
 from capture_sim.errors import SceneError, one_line
 from capture_sim.recording.trial_check import VERDICT_TOLERANCE
+from capture_sim.run.bounds import contact_text
 from capture_sim.run.run import detect
 from capture_sim.run.verdict import TICK, with_criteria
 from capture_sim.scene.parts import Detector
@@ -69,12 +70,15 @@ def run(options: argparse.Namespace) -> int:
             label = status.label
     verdict = statuses[-1]
     since = _since(verdict)
+    echo(f"first contact {contact_text(recorded)}")
     nearest = in_words(verdict.nearest_distance, verdict.nearest_deviation)
     if recorded.given.extremes is not None and not verdict.nearest_deviation:
         # the detector sees samples; the run itself may have come nearer between them
         nearest = f"closest approach {recorded.loads['nearest_distance'] * 1e3:.3f} mm"
+    early = f", {since - verdict.may_precede:.3f} s at the earliest" if verdict.may_precede else ""
     echo(
-        f"verdict: {verdict.label} since {since:.3f} s; {nearest}, {len(statuses) - 1} measurements"
+        f"verdict: {verdict.label} since {since:.3f} s{early}; {nearest}, "
+        f"{len(statuses) - 1} measurements"
     )
     if verdict.not_used:
         echo(f"measurements not used: {one_line(verdict.not_used)}")

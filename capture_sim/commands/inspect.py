@@ -16,6 +16,7 @@ from capture_sim.plausibility.rules import Grade
 from capture_sim.recording.bag import read_bag, remap_of
 from capture_sim.recording.inspection import SeriesRow, as_data, missing_for, series_rows
 from capture_sim.recording.read import run_of
+from capture_sim.run.bounds import contact_text
 from capture_sim.run.run import Run
 from capture_sim.scene.loading import load_scene
 
@@ -117,6 +118,8 @@ def _print_judgement(path: str, read: Run) -> None:
         echo(f"{where}no rule is broken")
     if read.given.scene is None and read.given.evidence:
         echo(f"{where}not checked without --scene: {', '.join(rules_with_scene())}")
+    if read.contact_bounds is not None:
+        echo(f"{where}first contact: {contact_text(read)}")
     for command, lacking in missing_for(read).items():
         text = f"not possible without {'; '.join(lacking)}" if lacking else "can be run"
         echo(f"{where}{command}: {text}")

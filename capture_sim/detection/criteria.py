@@ -93,7 +93,9 @@ class CaptureStatus(NamedTuple):
     """Status of the detector at one instant; fields and units as in msg/CaptureStatus.msg.
 
     ``nearest_deviation`` is the standard error of ``nearest_distance``, see
-    :attr:`capture_sim.detection.nearest.ClosestApproach.estimate`.
+    :attr:`capture_sim.detection.nearest.ClosestApproach.estimate`.  ``may_precede`` (s) is the time
+    by which the state may have begun before ``t - time_in_state``, because of noise, gaps and the
+    interval of the measurements; infinite: before the first measurement.
     ``not_used`` is set at the end of a run.  It lists the numbers of unused measurements by source
     and reason, with the likely cause if they are many.
     """
@@ -111,6 +113,7 @@ class CaptureStatus(NamedTuple):
     reason: str
     not_used: str = ""
     nearest_deviation: float = 0.0
+    may_precede: float = 0.0
 
     @property
     def left_again(self) -> bool:

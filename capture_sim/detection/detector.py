@@ -147,8 +147,12 @@ class CaptureDetector:
         self._closest = ClosestApproach()
         self._t_rest_end = -math.inf  # s, the last instant before the approach
         self._t_gap_end = -math.inf  # s, the first instant after the last gap
+        self._nearest_unseen = math.inf  # m, how near the tip may have come in a gap
         self._is_contact_unseen = False  # the tip may have met the cone in a gap
         self._last: tuple[Observation, MeasuredTip] | None = None
+        self._t_outside = -math.inf  # s, when the tip was last surely outside the capture zone
+        self._earliest = math.inf  # s, when the present state may have begun
+        self._noted = (math.nan, -1)  # begin (s) and cause of the state that it belongs to
         self._buffer_noise = (NoiseEstimate(), NoiseEstimate())
         self._buffer: deque[tuple[float, float, float]] = deque(maxlen=_N_AVERAGED)
         self._at_rest: deque[tuple[float, float]] = deque(maxlen=N_REST)  # m, rad
@@ -283,6 +287,7 @@ class CaptureDetector:
             self._doubt_miss()
             if lacks_end and memory.cause in (Cause.END_BEFORE_CONTACT, Cause.END_AFTER_CONTACT):
                 memory.cause = Cause.NO_END
+        self._note_earliest(math.inf)
         return [*remaining, self._status(*self._last, is_over=not cut, is_end=True)]
 
     def update(self, observation: Observation) -> CaptureStatus:
@@ -411,7 +416,22 @@ class CaptureDetector:
             share = before.axial / (before.axial - place.axial)
             self._memory.since = before.t + share * (place.t - before.t)
         self._doubt_miss()
+        self._note_earliest(-math.inf if before is None else before.t)
+        unsure = math.sqrt(max(place.axial_variance, place.lateral_variance, 0.0))
+        if self._memory.distance - GUARD * unsure > criteria.radius:
+            self._t_outside = place.t
         self._place = place
+
+    def _note_earliest(self, before: float) -> None:
+        """Note when a new state may have begun; ``before``: s, the last place of the state before."""
+        memory = self._memory
+        now = (float(memory.since), int(memory.cause))
+        if now == self._noted:
+            return
+        self._noted = now
+        if memory.cause == Cause.DWELT:
+            before = min(before, self._t_outside + self._criteria.dwell)
+        self._earliest = before if memory.has_approached else math.inf
 
     def _note_closest(self, place: Place) -> None:
         """Update the closest approach; store it for the reason of a verdict that refers to it."""
@@ -443,6 +463,9 @@ class CaptureDetector:
         memory, criteria = self._memory, self._criteria
         memory.zone_since = memory.still_since = memory.outside_since = math.nan
         self._t_gap_end = after.t
+        far = math.hypot(before.axial, before.lateral) + math.hypot(after.axial, after.lateral)
+        nearest = 0.5 * (far - memory.fastest * (after.t - before.t))
+        self._nearest_unseen = min(self._nearest_unseen, nearest)
         wall_distance = _wall_gap(criteria, before.axial, before.lateral)[0]
         if wall_distance > memory.fastest * (after.t - before.t):
             return  # too far away to have met the cone
@@ -539,6 +562,8 @@ class CaptureDetector:
     ) -> CaptureStatus:
         rate, place, memory = tip.rate, self._place, self._memory
         nearest, deviation = self._closest.estimate
+        if self._nearest_unseen < nearest and math.isfinite(deviation):
+            nearest, deviation = nearest + GUARD * deviation, math.inf
         if place is not None and (rate is None or place.size > 1):
             rate = (place.axial_rate, place.lateral_rate)
         return CaptureStatus(
@@ -555,6 +580,7 @@ class CaptureDetector:
             reason=reason(self._criteria, int(memory.cause), float(memory.value)),
             not_used=self.counts.text if is_end else "",
             nearest_deviation=deviation,
+            may_precede=max(float(memory.since) - self._earliest, 0.0),
         )
 
 

@@ -92,7 +92,7 @@ def in_words(distance: float, deviation: float) -> str:
     if not math.isfinite(distance):
         return "no position of the tip"
     if math.isinf(deviation):
-        return f"closest approach hidden by noise, below {distance * 1e3:.1f} mm"
+        return f"closest approach hidden by noise or a gap, below {distance * 1e3:.1f} mm"
     if deviation > 0.0:
         return f"closest approach {distance * 1e3:.2f} mm +- {deviation * 1e3:.2f} mm"
     return f"closest approach in the samples {distance * 1e3:.3f} mm"

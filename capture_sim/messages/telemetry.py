@@ -396,6 +396,7 @@ class DetectorTelemetry(_StatusStream):
     names = (
         *("state", "final", "distance", "axial_offset", "lateral_offset", "relative_attitude"),
         *("relative_speed", "nearest_distance", "time_in_state", "nearest_deviation"),
+        "may_precede",
     )
 
     def begin(self, criteria: Detector) -> Sent:

@@ -136,6 +136,7 @@ class Measured:
     force: Forces | None = None
     origin: int = 0  # ns, of every time
     is_before_release: bool = False
+    release: float = 0.0  # s, t = 0 of the run
 
     @property
     def channels(self) -> list[Channel]:

@@ -37,6 +37,7 @@ def evidence_in(bag: Bag) -> tuple[Measured, ...]:
     buffer = next((topic for topic in _BUFFERS if bag.holds(topic)), None)
     deflections = None if buffer is None else _deflections(bag, buffer, origin)
     force = _force(bag, origin)
+    release = -float(bag.clock.since(np.array([origin]))[0])
     pairs = []
     for chaser, target in _PAIRS:
         of_c, of_t = (_poses(bag, topic, origin) for topic in (chaser, target))
@@ -47,7 +48,7 @@ def evidence_in(bag: Bag) -> tuple[Measured, ...]:
         merged = (pairs[0][0] or other[0], pairs[0][1] or other[1])
         pairs = [merged] if None in other else [merged, other]
     return tuple(
-        Measured(of_c, of_t, deflections, force, origin=origin)
+        Measured(of_c, of_t, deflections, force, origin=origin, release=release)
         for of_c, of_t in pairs or [(None, None)]
     )
 

@@ -19,15 +19,17 @@ import numpy as np
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.dynamics.samples import ENERGIES, Event, EventKind, Extremes
 from capture_sim.errors import RecordingError, SceneError
-from capture_sim.plausibility.motion import MIN_DEFLECTION
+from capture_sim.plausibility.motion import MIN_DEFLECTION, MeasuredMotion
 from capture_sim.plausibility.rules import Doubt, Grade
 from capture_sim.plausibility.signals import onset
+from capture_sim.run.bounds import Bounds, contact_bounds, speed_error
 from capture_sim.run.doubts import CountedSeries, doubts_of, refuse, remaining
 from capture_sim.run.frames import Table, events_frame, samples_frame, topic_frame, touches_frame
 from capture_sim.run.given import Given, Integrated
-from capture_sim.run.loads import loads_of, sampled_extremes, with_closest
+from capture_sim.run.loads import if_measured, loads_of, sampled_extremes, with_closest
 from capture_sim.run.origin import Origin, scene_origin
 from capture_sim.run.reconstruction import (
+    RATE_WINDOW,
     events_of,
     measured_samples,
     placed,
@@ -244,14 +246,41 @@ class Run(ABC):
     def cone_force(self) -> Series:
         """Force on the tip in the cone's axes, (n, 2), N; empty if it was not measured."""
 
-    @cached_property
+    @property
     def first_contact(self) -> FirstContact | None:
         """The first contact and its source; None if no contact was found.
 
         The sources, in order of preference, are located events, ``bench/contact``, a measured force
         and the deflection of the buffer.  A force is ignored if it begins while the poses exclude
-        a contact.
+        a contact.  The time is within :attr:`contact_bounds`.
         """
+        shown, bounds = self._contact_shown, self.contact_bounds
+        if shown is None or bounds is None:
+            return shown
+        return shown._replace(t=bounds.around(shown.t))
+
+    @cached_property
+    def contact_bounds(self) -> Bounds | None:
+        """Times between which the first contact of a measured run lies, s since the release.
+
+        None for an exact run, if there is no contact and none can be hidden, and without a scene
+        or poses of both vehicles.
+        """
+        motion = self._motion
+        if motion is None:
+            return None
+        release, shown = motion.measured.release, self._contact_shown
+        bounds = contact_bounds(motion, () if shown is None else [shown.t + release])
+        return None if bounds is None else bounds.later(-release)
+
+    @cached_property
+    def _motion(self) -> MeasuredMotion | None:
+        if self.is_exact or self.given.scene is None or not self.given.evidence:
+            return None
+        return MeasuredMotion(self.given.evidence[0], self.given.scene)
+
+    @cached_property
+    def _contact_shown(self) -> FirstContact | None:
         for event in self.given.events:
             if event.kind is EventKind.TOUCH:
                 return FirstContact(event.t, EVENTS)
@@ -434,7 +463,18 @@ class Run(ABC):
             problems=self.problems,
             made_by=self.made_by,
             doubts=[doubt.line for doubt in self.doubts],
+            contact=self._contact_summary(),
+            speed_error=0.0 if self._motion is None else speed_error(self._motion, RATE_WINDOW),
         )
+
+    def _contact_summary(self) -> tuple[float | None, float | None, float | None] | None:
+        """Return time and bounds of the first contact of a measured run; None if it is exact."""
+        bounds, first = self.contact_bounds, self.first_contact
+        if self._motion is None:
+            return None
+        if bounds is None:
+            return (None if first is None else first.t, None, None)
+        return (None if first is None else first.t, *map(if_measured, bounds[:2]))
 
     @cached_property
     def drawn_scene(self) -> Scene:
@@ -610,7 +650,9 @@ class MeasuredRun(Run):
             return self.given.touches
         if self._touches_in_samples is not None:
             return touches_in_force(self._touches_in_samples)
-        return touches_in_samples(self.samples, self._sensors)
+        found = touches_in_samples(self.samples, self._sensors)
+        bounds = self.contact_bounds  # noise may place the tip at a wall before
+        return found if bounds is None else found[found["end"] >= bounds.low]
 
     @cached_property
     def events(self) -> Sequence[Event]:

@@ -32,6 +32,8 @@ def summarize(
     problems: Sequence[str] = (),
     made_by: Mapping[str, Any] | None = None,
     doubts: Sequence[str] = (),
+    contact: tuple[float | None, float | None, float | None] | None = None,
+    speed_error: float = 0.0,
 ) -> dict[str, Any]:
     """Return the main results of a run by the keys of results.json, SI units.
 
@@ -43,22 +45,32 @@ def summarize(
     J; NaN if it was not measured.  ``simulated`` is the run's duration, s, and ``wall_time`` the
     duration of its computation, s.  ``problems`` are the reasons why the run or its recording is
     incomplete, which may affect every result.  ``made_by`` is the provenance of the run, see
-    :attr:`Run.made_by`.  ``doubts`` has a line for each plausibility rule that is broken.
+    :attr:`Run.made_by`.  ``contact`` has the time of the first contact and its bounds, None for
+    located touches; ``speed_error`` is the standard error of the impact speed, 0 if it is exact.
+    ``doubts`` has a line for each plausibility rule that is broken.
     """
     first = first_cluster(touches)
     has_contact = first.size > 0
     touch, speed = first_touch(events), impact_speed(events)
+    if contact is None:
+        contact = (float(first["start"].min()),) * 3 if has_contact else (None,) * 3
+    since = math.nan if status is None else status.t - status.time_in_state
     is_unmeasured = touch is not None and speed is not None and math.isnan(speed)
     return {
         "name": name,
         "verdict": None if status is None else status.state.label,
+        "verdict_time": if_measured(since),
+        "verdict_time_low": None if status is None else if_measured(since - status.may_precede),
         "left_again": status is not None and status.left_again,
         "not_used": "" if status is None else status.not_used,
         "problems": list(problems),
         "doubts": list(doubts),
         "impact_speed": None if is_unmeasured else speed,
         "impact_speed_missing": touch.detail if touch is not None and is_unmeasured else "",
-        "first_contact_time": float(first["start"].min()) if has_contact else None,
+        "impact_speed_error": None if is_unmeasured or speed is None else if_measured(speed_error),
+        "first_contact_time": contact[0],
+        "first_contact_time_low": contact[1],
+        "first_contact_time_high": contact[2],
         "first_contact_duration": float(first["end"].max() - first["start"].min())
         if has_contact
         else None,
@@ -99,6 +111,8 @@ RECORDING = "recording"
 KEYS = {
     "name": ("", "run"),
     "verdict": ("", "the detector's verdict; `null`: nothing to detect with"),
+    "verdict_time": ("s", "begin of the verdict's state, since the release"),
+    "verdict_time_low": ("s", "earliest time at which it may have begun: noise and gaps"),
     "left_again": ("", "true: a captured tip has left the capture zone again"),
     "not_used": ("", "measurements that the detector did not use"),
     "problems": ("", "why the run or its recording is incomplete"),
@@ -108,7 +122,10 @@ KEYS = {
     ),
     "impact_speed": ("m/s", "speed of the chaser relative to the target at the first touch"),
     "impact_speed_missing": ("", "why a rig's bag gives no impact speed; empty if it does"),
+    "impact_speed_error": ("m/s", "standard error of `impact_speed`; 0: exact"),
     "first_contact_time": ("s", "start of the first contact, since the release"),
+    "first_contact_time_low": ("s", "time up to which the measurements exclude it"),
+    "first_contact_time_high": ("s", "time by which they show it"),
     "first_contact_duration": ("s", "from its first touch to the end of its last one"),
     "first_contact_touches": ("1", "number of touches in it"),
     "first_contact_peak_force": ("N", "largest normal force in it"),
@@ -217,7 +234,8 @@ def _number_keys() -> frozenset[str]:
     of_runs = {
         *("impact_speed", "first_contact_time", "first_contact_duration", "energy_residual"),
         *("first_contact_touches", "first_contact_peak_force", "normal_impulse"),
-        *("wall_time", "real_time_factor", NEAREST_ERROR),
+        *("wall_time", "real_time_factor", NEAREST_ERROR, "impact_speed_error"),
+        *("verdict_time", "verdict_time_low", "first_contact_time_low", "first_contact_time_high"),
     }
     nothing = Extremes(np.zeros(1, EXTREMES)[0], None)
     return frozenset(of_runs | loads_of(nothing, np.zeros(0, TOUCH)).keys())

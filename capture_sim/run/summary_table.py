@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from capture_sim.run.bounds import HOLE
+
 
 class _Column(NamedTuple):
     """One column of the table: its head (group, name, unit) and its value.
@@ -125,6 +127,11 @@ def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
     lines += [
         f"{s['name']}: {s['impact_speed_missing']}." for s in summaries if s["impact_speed_missing"]
     ]
+    lines += [
+        f"{s['name']}: first contact {text}."
+        for s in summaries
+        if (text := wide_text(s["first_contact_time_low"], s["first_contact_time_high"]))
+    ]
     residuals = [s["energy_residual"] for s in summaries if s["energy_residual"] is not None]
     if residuals:
         lines.append(f"The energy ledger closes to {max(residuals):.0e} J.")
@@ -134,6 +141,15 @@ def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
         span_text = low if low == high else f"{low} to {high}"
         lines.append(f"Run at {span_text} times real time.")
     return lines + [made_by_text(s["name"], s["made_by"]) for s in summaries if s.get("made_by")]
+
+
+def wide_text(low: float | None, high: float | None) -> str:
+    """Return bounds of a time, s, in words; empty if they are as close as samples, or unknown."""
+    if high is None:
+        return "" if low is None else f"none seen, but possible after {low:.3f} s"
+    if low is None:
+        return f"before {high:.3f} s"
+    return f"between {low:.3f} and {high:.3f} s" if high - low > HOLE else ""
 
 
 def made_by_text(name: str, made_by: Mapping[str, Any]) -> str:

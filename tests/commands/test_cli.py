@@ -25,7 +25,9 @@ def test_run_prints_a_table_and_writes_numbers(tmp_path, capsys):
     assert [row["verdict"] for row in rows] == ["captured", "rebound"]
     assert rows[0].keys() == {
         *("name", "verdict", "left_again", "not_used", "problems", "doubts", "impact_speed"),
-        *("impact_speed_missing", "nearest_distance_error"),
+        *("impact_speed_missing", "nearest_distance_error", "impact_speed_error"),
+        *("verdict_time", "verdict_time_low"),
+        *("first_contact_time_low", "first_contact_time_high"),
         *("first_contact_time", "first_contact_duration", "first_contact_touches"),
         *("first_contact_peak_force", "normal_impulse", "loads_from", "energy_residual"),
         *("wall_time", "real_time_factor", "made_by", "recording"),
