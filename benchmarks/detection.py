@@ -15,12 +15,19 @@ import os
 import zlib
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy.stats import beta
 
 from benchmarks.pages import table, write_parts
 from capture_sim import load_scene, simulate
+from capture_sim.errors import RecordingError
+from capture_sim.recording.read import read_run
+from capture_sim.run.run import detect
+from capture_sim.run.verdict import detect_state
+from tests import dirty
 from tests.injections import QUALITIES, SCENES, walk
 from tests.noisy_replay import Disturbance, disturbed, judge
 
@@ -193,7 +200,112 @@ def injections(asked, _):
     ]
 
 
-PARTS = {"standard": standard, "sweep": sweep, "injections": injections}
+#: Scenes of the recordings with drawn faults.
+_RIGS = ("tilt_0", "tilt_p10", "tilt_m10")
+
+
+def drawn(rng):
+    """Return the scene, its changes, the changed records of a rig, and the names of the changes."""
+    scene = str(rng.choice(_RIGS))
+    speed = rng.uniform(0.05, 0.12)
+    changes = (
+        f"string.impact_speed={speed:.3f}",
+        f"sensors.motion_capture.rate={rng.choice([25, 50, 100, 125, 250])}",
+        f"sensors.motion_capture.position_noise={10 ** rng.uniform(-4, -2.8):.2e}",
+        f"sensors.load_cell.rate={rng.choice([100, 250, 500, 1000])}",
+    )
+    seed = int(rng.integers(1000))
+    records, names = list(dirty.clean(scene, *changes, seed=seed)), []
+    middle = exact_contact(scene, changes, seed)[0] + rng.uniform(-0.3, 0.3)
+    topics = (dirty.CHASER, dirty.TARGET, dirty.JOINTS, dirty.CELL)
+    if rng.random() < 0.5:
+        zero = (rng.uniform(-5e-3, 5e-3), rng.uniform(-0.05, 0.05))
+        records = dirty.changed(records, dirty.JOINTS, dirty.off_zero(*zero))
+        names.append("zero")
+    if rng.random() < 0.4:
+        width, count = 10 ** rng.uniform(-1.7, 0.2), int(rng.integers(1, 5))
+        lost = set(rng.choice(topics, count, replace=False))
+        low, high = middle - width * rng.uniform(), middle + width * rng.uniform()
+        records = [r for r in records if not (r.topic in lost and low < r.t < high)]
+        names.append("hole")
+    if rng.random() < 0.2:
+        half = 1_500_000
+        again = [r.stamped(r.stamp + half) for r in records if "capture" in r.topic]
+        records = [*records, *(r._replace(log_time=r.log_time + half) for r in again)]
+        records.sort(key=lambda r: r.log_time)
+        names.append("repeats")
+    if rng.random() < 0.3:
+        late = int(rng.uniform(0, 20e6))
+        source = [topics[:2], topics[2:3], topics[3:]][int(rng.integers(3))]
+        records = dirty.restamped(records, source, lambda stamp: stamp + late)
+        names.append("latency")
+    if rng.random() < 0.1:
+        records = [r for r in records if r.t > middle]
+        names.append("late begin")
+    return scene, changes, seed, records, names
+
+
+@functools.lru_cache(4)
+def exact_contact(scene, changes, seed):
+    """Return the first contact and the begin of the verdict's state of a run, s."""
+    sensors = ("sensors.motion_capture={}", "sensors.load_cell={}", f"sensors.seed={seed}")
+    run = simulate(scene, [*sensors, *changes])
+    last = detect_state(run.samples, run.scene, is_cut=False)[-1]
+    return float(run.touches["start"].min()), last.t - last.time_in_state, last.state
+
+
+def bound(k):
+    """Return what the bounds of a drawn recording are worth: faults, and both times' results."""
+    rng = np.random.default_rng([71, k])
+    scene, changes, seed, records, names = drawn(rng)
+    contact, since, state = exact_contact(scene, changes, seed)
+    with TemporaryDirectory() as folder:
+        path = dirty.write_mcap(Path(folder) / "rig.mcap", records)
+        run = read_run(path, scene=load_scene(scene, list(changes)), release=None)
+        begin = min(r.t for r in records if "capture" in r.topic)
+        bounds = run.contact_bounds
+        first = None
+        if bounds is not None:
+            low, high = bounds.low + begin, bounds.high + begin
+            slack = 1e-6
+            first = (low - slack <= contact <= high + slack, low, high, contact)
+        try:
+            last = detect(run)[-1]
+        except RecordingError as error:
+            return names, first, str(error)[:160]
+        high = last.t - last.time_in_state + begin
+        low, high = high - last.may_precede, high + last.may_follow
+        verdict = None
+        if last.state is state and state.is_verdict:
+            verdict = (low <= since <= high, low, high, since)
+        return names, first, verdict if verdict else f"{last.state.label}, not {state.label}"
+
+
+def bounds(asked, _):
+    """Bounds of the first contact and of the verdict in recordings with drawn faults."""
+    answers = parallel(asked, bound, range(asked.bounds))
+    rows = []
+    for what in ("any", "none", "zero", "hole", "repeats", "latency", "late begin"):
+        mine = [a for a in answers if what in ("any", *(a[0] or ["none"]))]
+        row = [what, str(len(mine))]
+        for index in (1, 2):
+            known = [a[index] for a in mine if isinstance(a[index], tuple)]
+            inside = sum(found[0] for found in known)
+            width = float(np.median([found[2] - found[1] for found in known])) if known else np.nan
+            row += [f"{inside} of {len(known)}", f"{1e3 * width:.3g}"]
+        rows.append(row)
+    for names, first, verdict in answers:
+        if first is None or not first[0] or not isinstance(verdict, tuple) or not verdict[0]:
+            print(names, first, verdict)
+    head = ["fault", "recordings", "contact inside", "width ms", "verdict inside", "width ms"]
+    return [
+        f"{asked.bounds} recordings of the experiments with drawn speeds, rates, noise and faults:",
+        "",
+        table(head, rows),
+    ]
+
+
+PARTS = {"standard": standard, "sweep": sweep, "injections": injections, "bounds": bounds}
 
 if __name__ == "__main__":
     write_parts(
@@ -204,5 +316,6 @@ if __name__ == "__main__":
         jobs=(0, "processes; 0: one for each core"),
         replays=(340, "of each run, standard disturbance"),
         sweep=(20, "of each run, other disturbances"),
+        bounds=(200, "recordings with drawn faults"),
         injections=(20, "of wrong frames in each run, at each rate"),
     )

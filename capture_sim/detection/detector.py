@@ -61,6 +61,8 @@ _LONGEST_REST = 4.0
 STALE = 2_000_000_000
 #: Period of the comparison of the sources' clocks, ns of arrival time.
 _CLOCK_PERIOD = 100_000_000
+#: Tolerance for the round-off of times, s.
+_TICK = 1e-9
 #: Times are counted from a multiple of this, ns.  They are then small numbers, and a stamp gives
 #: the same time whenever the trial begins.
 _EPOCH = 1_000_000_000_000
@@ -69,6 +71,42 @@ _EPOCH = 1_000_000_000_000
 _tip_motion, _decide, _note_push = plain(tip_motion), plain(decide), plain(note_push)
 _enter, _wall_gap, _decide_at_end = plain(enter), plain(wall_gap), plain(decide_at_end)
 _wrapped_angle = plain(wrapped_angle)
+
+
+class CaptureTimes:
+    """The times at which a capture may have been, and surely was, within the noise of the path.
+
+    Both rules of a capture count: the dwell in the capture zone, and passing BE.
+    """
+
+    def __init__(self, criteria: Criteria) -> None:
+        self._criteria = criteria
+        self._since_perhaps = self._since_surely = math.nan
+        self.earliest = self.latest = math.inf  # s
+
+    def add(self, place: Place, distance: float, before: float, gap: float, blur: float) -> None:
+        """Add a place of the tip and its distance from BE, m; ``before``: s, the place before.
+
+        A place more than ``gap``, s, after the one before says nothing of the time between.  The
+        smoothing may have moved the place by ``blur``, m.
+        """
+        c, t = self._criteria, place.t
+        unsure = blur + GUARD * math.sqrt(max(place.axial_variance, place.lateral_variance, 0.0))
+        along = blur + GUARD * math.sqrt(max(place.axial_variance, 0.0))
+        if distance - unsure > c.radius:
+            self._since_perhaps = math.nan
+        elif math.isnan(self._since_perhaps):
+            self._since_perhaps = before
+        if distance + unsure > c.radius or (t - before > gap and self.latest == math.inf):
+            self._since_surely = math.nan
+        if distance + unsure <= c.radius and math.isnan(self._since_surely):
+            self._since_surely = t
+        if t - self._since_perhaps >= c.dwell - _TICK:
+            self.earliest = min(self.earliest, self._since_perhaps + c.dwell)
+        if place.axial - along <= 0.0:
+            self.earliest = min(self.earliest, before)
+        if t - self._since_surely >= c.dwell - _TICK or place.axial + along <= 0.0:
+            self.latest = min(self.latest, t)
 
 
 class CaptureDetector:
@@ -150,7 +188,8 @@ class CaptureDetector:
         self._nearest_unseen = math.inf  # m, how near the tip may have come in a gap
         self._is_contact_unseen = False  # the tip may have met the cone in a gap
         self._last: tuple[Observation, MeasuredTip] | None = None
-        self._t_outside = -math.inf  # s, when the tip was last surely outside the capture zone
+        self._capture = CaptureTimes(self._criteria)
+        self._t_moving = -math.inf  # s, when the tip last was surely not at rest
         self._earliest = math.inf  # s, when the present state may have begun
         self._noted = (math.nan, -1)  # begin (s) and cause of the state that it belongs to
         self._buffer_noise = (NoiseEstimate(), NoiseEstimate())
@@ -408,6 +447,8 @@ class CaptureDetector:
                     break  # the interval includes the rest before the release, or a gap
                 speed, deviation = self._path.rate_over(begin, place.t)
                 is_still = is_still or speed + GUARD * deviation < criteria.still_speed
+                if times == 1.0 and speed - GUARD * deviation > criteria.still_speed:
+                    self._t_moving = place.t
         _decide(criteria, self._memory, place, is_still, self._corner_time, self._outside_time)
         self._note_closest(place)
         passed = self._memory.cause in (Cause.PASSED_THROAT, Cause.PASSED_BESIDE)
@@ -416,10 +457,12 @@ class CaptureDetector:
             share = before.axial / (before.axial - place.axial)
             self._memory.since = before.t + share * (place.t - before.t)
         self._doubt_miss()
+        if self._memory.has_approached:
+            gap = self._path.gap
+            blur = self._corner_time * math.hypot(place.axial_rate, place.lateral_rate)
+            last = -math.inf if before is None else before.t
+            self._capture.add(place, self._memory.distance, last, gap, blur)
         self._note_earliest(-math.inf if before is None else before.t)
-        unsure = math.sqrt(max(place.axial_variance, place.lateral_variance, 0.0))
-        if self._memory.distance - GUARD * unsure > criteria.radius:
-            self._t_outside = place.t
         self._place = place
 
     def _note_earliest(self, before: float) -> None:
@@ -429,8 +472,8 @@ class CaptureDetector:
         if now == self._noted:
             return
         self._noted = now
-        if memory.cause == Cause.DWELT:
-            before = min(before, self._t_outside + self._criteria.dwell)
+        if memory.cause == Cause.AT_REST:
+            before = min(before, self._t_moving)
         self._earliest = before if memory.has_approached else math.inf
 
     def _note_closest(self, place: Place) -> None:
@@ -566,6 +609,9 @@ class CaptureDetector:
             nearest, deviation = nearest + GUARD * deviation, math.inf
         if place is not None and (rate is None or place.size > 1):
             rate = (place.axial_rate, place.lateral_rate)
+        earliest, latest = self._earliest, float(memory.since)
+        if self._state is CaptureState.CAPTURED and memory.cause != Cause.STAYED:
+            earliest, latest = min(earliest, self._capture.earliest), self._capture.latest
         return CaptureStatus(
             t=observation.t + (self._epoch - self.zero) / 1e9,
             state=self._state,
@@ -580,7 +626,8 @@ class CaptureDetector:
             reason=reason(self._criteria, int(memory.cause), float(memory.value)),
             not_used=self.counts.text if is_end else "",
             nearest_deviation=deviation,
-            may_precede=max(float(memory.since) - self._earliest, 0.0),
+            may_precede=max(float(memory.since) - earliest, 0.0),
+            may_follow=max(latest - float(memory.since), 0.0),
         )
 
 

@@ -54,6 +54,8 @@ _MIN_NOISE = (5e-6, 5e-6, 2e-5)
 #: Number of third differences for the noise.  It is small, because errors of stamps add noise only
 #: while the vehicle moves.
 _N_NOISE = 60
+#: A source repeats poses often if this many of its last poses, the second number, are repeated.
+_OFTEN, _N_EQUAL = 6, 20
 _SQRT2 = math.sqrt(2.0)
 
 
@@ -147,6 +149,9 @@ class Gate:
         self._noise = tuple(NoiseEstimate(_N_NOISE) for _ in range(3))
         self._steps = tuple(Resolution() for _ in range(3))
         self._raw: deque[Pose] = deque(maxlen=4)  # the last poses that are not frozen
+        self._equal: deque[tuple[bool, bool]] = deque(maxlen=_N_EQUAL)  # all, any coordinates
+        self._distinct: deque[Pose] = deque(maxlen=4)  # the last poses that differ from each other
+        self._of_distinct = NoiseEstimate(_N_EQUAL)  # m, of x and y of these
         self._repeated = 0  # number of times that a noisy source has repeated its last pose
         self._early: list[Pose] = []  # poses before the noise is known
         self._held: list[_Run] = []
@@ -198,17 +203,39 @@ class Gate:
     def _is_frozen(self, pose: Pose) -> bool:
         """Return True if a pose repeats the last pose although the source's noise prevents this.
 
-        The noise does so if it exceeds the resolution.  A first repetition may be chance.
+        The noise does so if it exceeds the resolution.  A first repetition may be chance, unless
+        the source often repeats a pose, as a driver does that sends at a higher rate than it
+        measures.
         """
-        if not self._raw or self._raw[-1].values[:3] != pose.values[:3]:
+        if not self._distinct:
+            self._distinct.append(pose)
+            return False
+        if not self._note_equal(pose):
             self._repeated = 0
             return False
+        in_all, in_any = (sum(column) for column in zip(*self._equal, strict=True))
+        # steps of a quantised source are equal in one coordinate where another one changes
+        if in_all >= _OFTEN and in_any <= in_all + 1 and self._of_distinct.latest > _MIN_NOISE[0]:
+            return True
         if self._repeated or any(
             step.is_noisy and noise.latest > max(step.value, least)
             for noise, step, least in zip(self._noise, self._steps, _MIN_NOISE, strict=True)
         ):
             self._repeated += 1
         return self._repeated > 1
+
+    def _note_equal(self, pose: Pose) -> bool:
+        """Note which coordinates are those of the last pose; return True if all are."""
+        same = [a == b for a, b in zip(pose.values[:3], self._distinct[-1].values, strict=False)]
+        self._equal.append((all(same), any(same)))
+        if not all(same):
+            self._distinct.append(pose)
+            if len(self._distinct) == 4:
+                weights = third_difference([each.t for each in self._distinct])
+                for k in (0, 1):
+                    values = (each.values[k] for each in self._distinct)
+                    self._of_distinct.add(sum(w * x for w, x in zip(weights, values, strict=True)))
+        return all(same)
 
     def _learn(self, pose: Pose) -> None:
         """Update the estimates of noise and resolution with a pose.

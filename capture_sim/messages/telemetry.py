@@ -396,7 +396,7 @@ class DetectorTelemetry(_StatusStream):
     names = (
         *("state", "final", "distance", "axial_offset", "lateral_offset", "relative_attitude"),
         *("relative_speed", "nearest_distance", "time_in_state", "nearest_deviation"),
-        "may_precede",
+        *("may_precede", "may_follow"),
     )
 
     def begin(self, criteria: Detector) -> Sent:
