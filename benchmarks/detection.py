@@ -204,7 +204,7 @@ def injections(asked, _):
 _RIGS = ("tilt_0", "tilt_p10", "tilt_m10")
 
 
-def drawn(rng):
+def drawn(rng, *, has_faults=True, has_latency=True):
     """Return the scene, its changes, the changed records of a rig, and the names of the changes."""
     scene = str(rng.choice(_RIGS))
     speed = rng.uniform(0.05, 0.12)
@@ -216,6 +216,8 @@ def drawn(rng):
     )
     seed = int(rng.integers(1000))
     records, names = list(dirty.clean(scene, *changes, seed=seed)), []
+    if not has_faults:
+        return scene, changes, seed, records, names
     middle = exact_contact(scene, changes, seed)[0] + rng.uniform(-0.3, 0.3)
     topics = (dirty.CHASER, dirty.TARGET, dirty.JOINTS, dirty.CELL)
     if rng.random() < 0.5:
@@ -234,7 +236,7 @@ def drawn(rng):
         records = [*records, *(r._replace(log_time=r.log_time + half) for r in again)]
         records.sort(key=lambda r: r.log_time)
         names.append("repeats")
-    if rng.random() < 0.3:
+    if rng.random() < 0.3 and has_latency:
         late = int(rng.uniform(0, 20e6))
         source = [topics[:2], topics[2:3], topics[3:]][int(rng.integers(3))]
         records = dirty.restamped(records, source, lambda stamp: stamp + late)
@@ -254,10 +256,10 @@ def exact_contact(scene, changes, seed):
     return float(run.touches["start"].min()), last.t - last.time_in_state, last.state
 
 
-def bound(k):
+def bound(k, *, has_latency=True):
     """Return what the bounds of a drawn recording are worth: faults, and both times' results."""
     rng = np.random.default_rng([71, k])
-    scene, changes, seed, records, names = drawn(rng)
+    scene, changes, seed, records, names = drawn(rng, has_latency=has_latency)
     contact, since, state = exact_contact(scene, changes, seed)
     with TemporaryDirectory() as folder:
         path = dirty.write_mcap(Path(folder) / "rig.mcap", records)
@@ -279,6 +281,23 @@ def bound(k):
         if last.state is state and state.is_verdict:
             verdict = (low <= since <= high, low, high, since)
         return names, first, verdict if verdict else f"{last.state.label}, not {state.label}"
+
+
+def alarms(k):
+    """Return what the rules say of a clean drawn recording, one line each."""
+    rng = np.random.default_rng([72, k])
+    scene, changes, _, records, _ = drawn(rng, has_faults=False)
+    with TemporaryDirectory() as folder:
+        path = dirty.write_mcap(Path(folder) / "rig.mcap", records)
+        return [d.line for d in read_run(path, scene=load_scene(scene, list(changes))).doubts]
+
+
+def clean(asked, _):
+    """The rules of plausibility on recordings without a fault."""
+    lines = parallel(asked, alarms, range(asked.bounds))
+    print(*(line for found in lines for line in found), sep="\n")
+    wrong = sum(map(bool, lines))
+    return [f"A rule is broken in {wrong} of {asked.bounds} drawn recordings without a fault."]
 
 
 def bounds(asked, _):
@@ -306,6 +325,7 @@ def bounds(asked, _):
 
 
 PARTS = {"standard": standard, "sweep": sweep, "injections": injections, "bounds": bounds}
+PARTS["clean"] = clean
 
 if __name__ == "__main__":
     write_parts(

@@ -214,7 +214,7 @@ def _joints_exchanged(message: Any, _: float) -> None:
     message.name = list(message.name[::-1])
 
 
-def _joints_times(slide: float, hinge: float) -> Callable[[Any, float], None]:
+def joints_times(slide: float, hinge: float) -> Callable[[Any, float], None]:
     def change(message: Any, _: float) -> None:
         factors = [slide if name == "buffer_slide" else hinge for name in message.name]
         message.position = message.position * factors
@@ -276,7 +276,78 @@ def _drifting(message: Any, t: float) -> None:
 
 
 BODIES = (CHASER, TARGET)
+
+
 #: Faults of the contents: functions of the records.
+def _set_pose(message: Any, pose: Any) -> None:
+    message.pose = pose
+
+
+def _standing(topics: str | tuple[str, ...]) -> Callable[[Iterable[Record]], Records]:
+    """Return a change that repeats the first pose of some topics for ever."""
+
+    def change(records: Iterable[Record]) -> Records:
+        found = list(records)
+        for topic in (topics,) if isinstance(topics, str) else topics:
+            first = next(decoded(r).pose for r in found if r.topic == topic)
+            found = changed(found, topic, lambda message, _, pose=first: _set_pose(message, pose))
+        return found
+
+    return change
+
+
+def repeated(records: Iterable[Record], times: int) -> Records:
+    """Send each pose ``times`` times, each with its own stamp, as an upsampling driver does."""
+    found = []
+    for record in records:
+        for k in range(times if record.topic in BODIES else 1):
+            later = k * 10_000_000 // times
+            again = record.stamped(record.stamp + later)
+            found.append(again._replace(log_time=record.log_time + later))
+    return sorted(found, key=lambda record: record.log_time)
+
+
+def _two_trials(records: Iterable[Record]) -> Records:
+    """Begin with a trial that is aborted after 1.5 s, and the whole one 20 s later."""
+    whole = list(records)
+    later = [r.stamped(r.stamp + 20 * 10**9) for r in whole]
+    again = [r._replace(log_time=r.log_time + 20 * 10**9) for r in later]
+    return [*(r for r in whole if r.t < 1.5), *again]
+
+
+def turned(degrees: float) -> Callable[[Any, float], None]:
+    """Return a change that turns the force about z."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+
+    def change(message: Any, _: float) -> None:
+        force = message.wrench.force
+        force.x, force.y = c * force.x - s * force.y, s * force.x + c * force.y
+
+    return change
+
+
+def thinned(records: Iterable[Record], every: int) -> Records:
+    """Keep each ``every``-th sample of the cell."""
+    found, count = [], 0
+    for record in records:
+        count += record.topic == CELL
+        if record.topic != CELL or count % every == 0:
+            found.append(record)
+    return found
+
+
+def _repeats_when_loaded(records: Iterable[Record]) -> Records:
+    last = [0.0, 0.0]
+
+    def change(message: Any, _: float) -> None:
+        force = message.wrench.force
+        if np.hypot(force.x, force.y) > 3.0:
+            force.x, force.y = last
+        last[:] = force.x, force.y
+
+    return changed(records, CELL, change)
+
+
 CHANGES: dict[str, Callable[[Iterable[Record]], Records]] = {
     "plain": list,
     "poses_in_mm": lambda r: changed(r, BODIES, _scaled(1e3)),
@@ -302,8 +373,8 @@ CHANGES: dict[str, Callable[[Iterable[Record]], Records]] = {
     "joints_nan": lambda r: changed(r, JOINTS, _nan_joints),
     "joints_without_positions": lambda r: changed(r, JOINTS, _no_positions),
     "joints_prefixed": lambda r: changed(r, JOINTS, _prefixed),
-    "encoder_in_mm": lambda r: changed(r, JOINTS, _joints_times(1e3, 1.0)),
-    "encoder_inverted": lambda r: changed(r, JOINTS, _joints_times(-1.0, 1.0)),
+    "encoder_in_mm": lambda r: changed(r, JOINTS, joints_times(1e3, 1.0)),
+    "encoder_inverted": lambda r: changed(r, JOINTS, joints_times(-1.0, 1.0)),
     "joints_exchanged": lambda r: changed(r, JOINTS, _joints_exchanged),
     "hole_at_contact": lambda r: [each for each in r if not 2.3 < each.t < 3.3],
     "encoder_off_zero": lambda r: changed(r, JOINTS, off_zero(-3e-3, 30e-3)),
@@ -312,6 +383,19 @@ CHANGES: dict[str, Callable[[Iterable[Record]], Records]] = {
     "cell_drifts": lambda r: changed(r, CELL, _drifting),
     "cell_offset": lambda r: changed(r, CELL, _force(lambda f, _: f + 8.0)),
     "cell_inverted": lambda r: changed(r, CELL, _force(lambda f, _: -f)),
+    "target_stands": _standing(TARGET),
+    "both_stand": _standing(BODIES),
+    "poses_twice": lambda r: repeated(r, 2),
+    "poses_ten_times": lambda r: repeated(r, 10),
+    "two_trials": _two_trials,
+    "hinge_a_turn_off": lambda r: changed(r, JOINTS, off_zero(0.0, 2.0 * np.pi)),
+    "cell_turned_by_45": lambda r: changed(r, CELL, turned(45.0)),
+    "cell_turned_by_90": lambda r: changed(thinned(r, 4), CELL, turned(90.0)),
+    "cell_inverted_at_250_hz": lambda r: changed(thinned(r, 4), CELL, turned(180.0)),
+    "cell_in_counts": lambda r: changed(
+        thinned(r, 4), CELL, _force(lambda f, _: 1e3 * f + 20_000.0)
+    ),
+    "cell_repeats_when_loaded": _repeats_when_loaded,
     "cell_saturated": lambda r: changed(r, CELL, _force(lambda f, _: np.clip(f, -5.0, 5.0))),
 }
 

@@ -319,7 +319,7 @@ def _print_characteristics(a: Side, b: Side) -> None:
 
 
 def _print_touches(a: Side, b: Side, window: float) -> None:
-    """Print a table of the touches of both runs, paired by wall and time, and a summary of each.
+    """Print a table of the touches of both runs in pairs, and a summary of each.
 
     Only touches within ``window``, s after the first contact, are listed.
     """
@@ -332,19 +332,19 @@ def _print_touches(a: Side, b: Side, window: float) -> None:
     if len(both) < 2:
         return
     echo(
-        f"\ntouches within {window:g} s, paired by wall and time, from "
+        f"\ntouches within {window:g} s, paired by wall, order, time, peak and duration, from "
         f"{_source(a.touch_source, b.touch_source)} (+ or -: the wall; blank: not known; "
-        "a touch without a partner has its own row):"
+        "a touch without a partner has its own row; ?: another pair would fit nearly as well):"
     )
     rows = []
     columns = [list(_touch_rows(touches)) for touches in both]
     pairs = pair_touches(*both)
-    for number, (i, k) in enumerate(pairs, start=1):
+    for number, (i, k, is_ambiguous) in enumerate(pairs, start=1):
         wall_a, start_a, peak_a, lasted_a, impulse_a = _NO_TOUCH if i is None else columns[0][i]
         wall_b, start_b, peak_b, lasted_b, impulse_b = _NO_TOUCH if k is None else columns[1][k]
         rows.append(
             [
-                f"{number}",
+                f"{number}{'?' if is_ambiguous else ''}",
                 f"{wall_a} {wall_b}",
                 *(_number(x, 3) for x in (start_a, start_b)),
                 _number(start_b - start_a, 3, "+"),

@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
             label = status.label
     verdict = statuses[-1]
     since = _since(verdict)
-    echo(f"first contact {contact_text(recorded)}")
+    echo(f"first contact {contact_text(recorded.first_contact, recorded.contact_bounds)}")
     nearest = in_words(verdict.nearest_distance, verdict.nearest_deviation)
     if recorded.given.extremes is not None and not verdict.nearest_deviation:
         # the detector sees samples; the run itself may have come nearer between them

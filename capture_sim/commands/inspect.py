@@ -11,7 +11,7 @@ from capture_sim.base.tables import print_table
 from capture_sim.commands.inputs import add_geometry, add_release, add_remaps
 from capture_sim.commands.output import echo, warn
 from capture_sim.errors import CaptureSimError, one_line
-from capture_sim.plausibility.check import check_names, rules_with_scene
+from capture_sim.plausibility.check import check_names
 from capture_sim.plausibility.rules import Grade
 from capture_sim.recording.bag import read_bag, remap_of
 from capture_sim.recording.inspection import SeriesRow, as_data, missing_for, series_rows
@@ -115,11 +115,14 @@ def _print_judgement(path: str, read: Run) -> None:
     for doubt in read.doubts:
         echo(f"{where}{doubt.line}")
     if not read.doubts:
-        echo(f"{where}no rule is broken")
-    if read.given.scene is None and read.given.evidence:
-        echo(f"{where}not checked without --scene: {', '.join(rules_with_scene())}")
+        echo(f"{where}no rule is broken that was applied")
+    by_reason: dict[str, list[str]] = {}
+    for rule, reason in read.unapplied:
+        by_reason.setdefault(reason, []).append(rule.name)
+    for reason, names in by_reason.items():
+        echo(f"{where}not applied, {reason}: {', '.join(names)}")
     if read.contact_bounds is not None:
-        echo(f"{where}first contact: {contact_text(read)}")
+        echo(f"{where}first contact: {contact_text(read.first_contact, read.contact_bounds)}")
     for command, lacking in missing_for(read).items():
         text = f"not possible without {'; '.join(lacking)}" if lacking else "can be run"
         echo(f"{where}{command}: {text}")

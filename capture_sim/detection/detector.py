@@ -466,7 +466,7 @@ class CaptureDetector:
         self._place = place
 
     def _note_earliest(self, before: float) -> None:
-        """Note when a new state may have begun; ``before``: s, the last place of the state before."""
+        """Note when a new state may have begun: after ``before``, s, the place before it."""
         memory = self._memory
         now = (float(memory.since), int(memory.cause))
         if now == self._noted:
@@ -474,7 +474,11 @@ class CaptureDetector:
         self._noted = now
         if memory.cause == Cause.AT_REST:
             before = min(before, self._t_moving)
-        self._earliest = before if memory.has_approached else math.inf
+        if memory.cause == Cause.STAYED:
+            before = -math.inf
+        elif not memory.has_approached:
+            before = math.inf
+        self._earliest = before
 
     def _note_closest(self, place: Place) -> None:
         """Update the closest approach; store it for the reason of a verdict that refers to it."""

@@ -152,7 +152,9 @@ class _Words:
         if self._last[0] != (cause, value):
             self._last = (cause, value), reason(self._criteria, cause, value)
         final = is_over or self._criteria.is_final(_STATES[state])
-        return CaptureStatus(t, _STATES[state], final, *numbers, self._last[1])
+        return CaptureStatus._make(
+            (t, _STATES[state], final, *numbers, self._last[1], "", 0.0, 0.0, 0.0)
+        )
 
 
 class ExactDetector:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.plausibility.momentum import spring_ratio
+from capture_sim.plausibility.momentum import first_change, spring_ratio
 from capture_sim.plausibility.motion import N_SMOOTH, MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
 from capture_sim.plausibility.signals import smooth, zero_text
@@ -23,6 +23,8 @@ _DEVIATIONS = 2.5
 SPRING_LOW, SPRING_HIGH = 0.15, 5.0
 #: ... with the encoder of the torsion: right ones have at most 0.15 in size there.
 EXCHANGED_LOW, EXCHANGED_HIGH = 0.4, 2.0
+#: Bounds of the same ratio beyond which the encoder's scale is doubted.
+_SCALE_LOW, _SCALE_HIGH = 0.5, 1.4
 #: A stroke (m) and a torsion (rad) that vary by less than this count as not moving.
 _STANDS = (3e-4, 1e-3)
 #: Lags between poses and buffer that are tried, s.
@@ -124,8 +126,7 @@ def _deepest(motion: MeasuredMotion, stroke: np.ndarray, torsion: np.ndarray) ->
     threshold="> 0.05 mm at the tip and > 5 standard errors",
     reason="a contact begins at `max_contact_gap`, 0.2 mm; the zero is subtracted wherever the "
     "buffer is evaluated",
-    needs_scene=True,
-    needs_poses=True,
+    needs=("scene", "poses", "buffer"),
 )
 def buffer_zero(motion: MeasuredMotion) -> Iterator[Said]:
     """Yield a finding if the encoders of the buffer are not at 0 while it is at rest."""
@@ -133,74 +134,60 @@ def buffer_zero(motion: MeasuredMotion) -> Iterator[Said]:
         yield Said(motion.buffer.topic, text, zero=motion.zero)
 
 
-def _contradicted(motion: MeasuredMotion, kind: str) -> Iterator[tuple[str, Contradiction]]:
-    found = motion.once("buffer", lambda: find_contradiction(motion))
-    if found is not None and found.kind == kind and motion.buffer is not None:
-        yield motion.buffer.topic, found
-
-
-@rule(
-    "buffer_stuck",
-    Grade.REFUSED,
-    compares="impulse of the axial spring over the first contact with the chaser's change of "
-    "momentum; position of the tip by poses and buffer with the walls",
-    threshold="ratio below 0.15 in size; or inside of a wall by > 4 mm and > 2.5 standard "
-    "deviations while the stroke stands",
-    reason="the ratio is 0.6 to 1 where k_A is known to a third; base frames and noise make a "
-    "depth of 2 mm",
-    needs_scene=True,
-    needs_poses=True,
-)
-def buffer_stuck(motion: MeasuredMotion) -> Iterator[Said]:
-    """Yield a finding if an encoder of the buffer does not move though the probe is compressed."""
-    for topic, found in _contradicted(motion, "stuck"):
-        yield Said(
-            topic,
-            f"{found.detail} does not follow a contact: {found.text}; check the encoder and its "
-            "unit",
-        )
-
-
-@rule(
-    "buffer_inverted",
-    Grade.REFUSED,
-    compares="as buffer_stuck",
-    threshold="ratio below -0.15; or inside of a wall, but not with the opposite sign",
-    reason="as buffer_stuck",
-    needs_scene=True,
-    needs_poses=True,
-)
-def buffer_inverted(motion: MeasuredMotion) -> Iterator[Said]:
-    """Yield a finding if an encoder of the buffer seems to have the opposite sign."""
-    for topic, found in _contradicted(motion, "inverted"):
-        yield Said(
-            topic,
-            f"{found.detail} looks inverted: {found.text}; the stroke must be negative when "
-            "compressed, and the torsion positive about z",
-        )
+#: Likely cause of each kind of a contradiction, and what to do.
+_CAUSES = {
+    "stuck": "{} does not follow the contact: check the encoder and its unit",
+    "inverted": "{} looks inverted: the stroke must be negative when compressed, and the torsion "
+    "positive about z",
+    "exchanged": "stroke and torsion look exchanged: check the names of the joints",
+    "lag": "the buffer fits the poses {} apart: check the clocks",
+    "other": "check base frames, lengths of the scene, unit and zero of the encoders",
+}
 
 
 @rule(
     "buffer_against_poses",
     Grade.REFUSED,
-    compares="as buffer_stuck",
-    threshold="ratio above 5, or out of 0.15 to 5 and that of the torsion in 0.4 to 2; or inside "
-    "of a wall for another reason",
-    reason="as buffer_stuck; the torsion's is at most 0.15 in size where the joints have their "
-    "own names. Exchanged joints are not found where the first contact hardly changes the speed",
-    needs_scene=True,
-    needs_poses=True,
+    compares="impulse of the axial spring over the first contact with the chaser's change of "
+    "momentum; position of the tip by poses and buffer with the walls",
+    threshold=f"ratio out of {SPRING_LOW:g} to {SPRING_HIGH:g}, or, for exchanged joints, that of "
+    f"the torsion in {EXCHANGED_LOW:g} to {EXCHANGED_HIGH:g}; or inside of a wall by > 4 mm and > "
+    "2.5 standard deviations",
+    reason="the ratio is 0.6 to 1 where k_A is known to a third; base frames and noise make a "
+    "depth of 2 mm. Exchanged joints are not found where the first contact hardly changes the "
+    "speed",
+    needs=("scene", "poses", "buffer"),
 )
 def buffer_against_poses(motion: MeasuredMotion) -> Iterator[Said]:
-    """Yield a finding if poses and buffer contradict each other for another reason.
+    """Yield a finding if poses and encoders contradict each other, with the likely cause."""
+    found = find_contradiction(motion)
+    if found is not None and motion.buffer is not None:
+        cause = _CAUSES[found.kind].format(found.detail)
+        yield Said(motion.buffer.topic, f"{found.text}; {cause}")
 
-    That is neither an encoder that does not move nor one with the opposite sign.
-    """
-    causes = {
-        "exchanged": "stroke and torsion look exchanged: check the names of the joints",
-        "lag": "the buffer fits the poses {} apart: check the clocks",
-        "other": "check base frames, lengths of the scene, unit and zero of the encoders",
-    }
-    for kind, cause in causes.items():
-        for topic, found in _contradicted(motion, kind):
-            yield Said(topic, f"{found.text}; {cause.format(found.detail)}")
+
+@rule(
+    "buffer_scale",
+    Grade.NOTED,
+    compares="impulse of the axial spring over the first contact with the chaser's change of "
+    "momentum",
+    threshold=f"ratio out of {_SCALE_LOW:g} to {_SCALE_HIGH:g} by > 3 standard errors",
+    reason="it is 0.6 to 1 where k_A is known; a scale of the encoder and an error of k_A act "
+    "alike",
+    needs=("scene", "poses", "buffer", "contact"),
+)
+def buffer_scale(motion: MeasuredMotion) -> Iterator[Said]:
+    """Yield a finding if the stroke's scale, or k_A, is off by about a factor of 2."""
+    ratio, pair = spring_ratio(motion), motion.pair
+    if ratio is None or motion.buffer is None or pair is None:
+        return
+    change = first_change(motion, pair.chaser[:, 2])
+    if change is None or not SPRING_LOW <= ratio <= SPRING_HIGH:
+        return
+    unsure = 1.0 + 3.0 * change.error / abs(change.speed)
+    if ratio * unsure < _SCALE_LOW or ratio > _SCALE_HIGH * unsure:
+        yield Said(
+            motion.buffer.topic,
+            f"the spring's impulse by the stroke is {ratio:.2g} of the chaser's change of "
+            "momentum: must be about 0.8; check the encoder's scale and buffer.k_A",
+        )

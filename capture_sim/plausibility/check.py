@@ -19,7 +19,7 @@ from capture_sim.errors import SceneError
 from capture_sim.plausibility import buffer, clocks, force, frames, sources, units
 from capture_sim.plausibility.measured import Measured
 from capture_sim.plausibility.motion import MeasuredMotion
-from capture_sim.plausibility.rules import RULES, Doubt, Grade, Rule, broken
+from capture_sim.plausibility.rules import RULES, Doubt, Grade, Rule, examine
 from capture_sim.scene.parts import Scene
 
 _GRADES = list(Grade)
@@ -56,7 +56,7 @@ def check(
         A name in ``waived`` is not that of a rule.
     """
     check_names(waived)
-    doubts = tuple(broken(MeasuredMotion(measured, scene), waived))
+    doubts = examine(MeasuredMotion(measured, scene), waived).doubts
     return tuple(sorted(doubts, key=lambda doubt: _GRADES.index(doubt.grade)))
 
 
@@ -65,11 +65,6 @@ def check_names(waived: Collection[str]) -> None:
     unknown = [name for name in waived if name not in RULES]
     if unknown:
         raise SceneError(f"rule {unknown[0]!r}: not found; rules: {', '.join(RULES)}")
-
-
-def rules_with_scene() -> list[str]:
-    """Return the names of the rules that need a scene."""
-    return [name for name, each in RULES.items() if each.needs_scene]
 
 
 def table_of_rules() -> str:

@@ -121,8 +121,7 @@ def out_of_plane(motion: MeasuredMotion) -> Iterator[Said]:
     compares="height of the chaser's base frame with that of the target's",
     threshold="differ by more than the half-width of the cone's mouth",
     reason="with y up this is the lateral offset, at which the tip passes beside the cone",
-    needs_scene=True,
-    needs_poses=True,
+    needs=("scene", "poses"),
 )
 def heights_differ(motion: MeasuredMotion) -> Iterator[Said]:
     """Yield a finding if the base frames differ in height by more than the cone's half-width.
@@ -207,8 +206,7 @@ def _listed(names: set[str]) -> str:
     threshold="nine tenths of the poses are nearer than a half",
     reason="the tip would be behind the cone's throat by 0.2 m; a chaser that passes by comes so "
     "near only for a while",
-    needs_scene=True,
-    needs_poses=True,
+    needs=("scene", "poses"),
 )
 def bodies_overlap(motion: MeasuredMotion) -> Iterator[Said]:
     """Yield a finding if the vehicles are nearer to each other than their bodies allow.
@@ -239,7 +237,7 @@ def bodies_overlap(motion: MeasuredMotion) -> Iterator[Said]:
     threshold=f"median > {_MAX_BEARING:g} rad (74 deg)",
     reason="the chaser launches along its x axis, and the cone opens towards -x of the target's: "
     "bodies swapped or frames turned by 90 deg or more are beyond, every launch of a scene is not",
-    needs_poses=True,
+    needs=("poses",),
 )
 def not_facing(motion: MeasuredMotion) -> Iterator[Said]:
     """Yield a finding if chaser or target does not face along the approach.
@@ -282,7 +280,7 @@ def not_facing(motion: MeasuredMotion) -> Iterator[Said]:
     compares="motion of the chaser in the approach with its heading",
     threshold="moved by > 30 mm, more than 90 deg off its x axis, towards the target",
     reason="the chaser launches along its x axis",
-    needs_poses=True,
+    needs=("poses",),
 )
 def moves_backwards(motion: MeasuredMotion) -> Iterator[Said]:
     """Yield a finding if the chaser approaches the target backwards, against its own heading."""

@@ -22,8 +22,9 @@ BEFORE, AFTER = 0.15, 0.5
 _HALF, _MIN_POSES = 0.1, 8
 #: Least change of the chaser's speed that shows a contact, m/s.
 _MIN_CHANGE = 0.02
-#: Least rate of a force from which the impulse of its touches can be computed, Hz.
-_MIN_RATE = 300.0
+#: Least rate of a force from which the impulse of a whole contact can be computed, Hz: a contact is
+#: hundreds of touches, or lasts.
+_MIN_RATE = 50.0
 #: Least mean stroke over the contact that an encoder can show, in m and in standard deviations.
 _MIN_STROKE, _DEVIATIONS = 1e-3, 6.0
 #: The stroke at rest is taken from times that end this long before the first instant, s.
@@ -36,15 +37,18 @@ class SpeedChange(NamedTuple):
     begin: float  # s
     end: float  # s
     speed: float  # speed at the end less that at the begin, m/s
+    error: float  # m/s, standard error of it
 
 
-def change_of_speed(motion: MeasuredMotion, contact: float, axis: np.ndarray) -> SpeedChange | None:
+def change_of_speed(
+    motion: MeasuredMotion, contact: float, axis: np.ndarray, least: float = _MIN_CHANGE
+) -> SpeedChange | None:
     """Return the change of the chaser's speed over a contact; None if it is not known.
 
     ``contact`` is the time of the contact's begin, s.  ``axis`` (n,), rad, is the heading of one
     vehicle at each pose of ``motion.pair``; the speed is that along the median heading around the
     contact.  The change is not known if there are too few poses around one of the two instants, or
-    if it is below 0.02 m/s or five of its standard errors.
+    if it is below ``least``, m/s, or, unless that is 0, five of its standard errors.
     """
     pair = motion.pair
     if pair is None:
@@ -63,32 +67,57 @@ def change_of_speed(motion: MeasuredMotion, contact: float, axis: np.ndarray) ->
         speeds.append(speed)
         errors.append(error)
     change = speeds[1] - speeds[0]
-    if abs(change) < max(_MIN_CHANGE, 5.0 * math.hypot(*errors)):
+    if abs(change) < max(least, 5.0 * math.hypot(*errors) if least else 0.0):
         return None
-    return SpeedChange(*ends, change)
+    return SpeedChange(*ends, change, math.hypot(*errors))
 
 
-def force_ratio(motion: MeasuredMotion) -> float | None:
-    """Return the force's impulse divided by the chaser's change of momentum, about 1 if all fits.
+def has_change(motion: MeasuredMotion) -> bool:
+    """Return True if poses show a first contact that changes the chaser's speed."""
+    return motion.pair is not None and first_change(motion, motion.pair.chaser[:, 2]) is not None
 
-    Both are along the target's x axis, over the first contact.  The impulse is that of the force on
-    the tip.  None if the force has fewer than 300 samples per second, if there is no scene, or if
-    poses or force do not cover the contact and a time before it.
+
+class Impulse(NamedTuple):
+    """Impulse of the measured force over the first contact, beside the change of momentum."""
+
+    ratio: float  # size of the impulse over that of the change of momentum
+    angle: float  # from the change of momentum to the impulse, rad, -pi to pi
+    error: float  # rad, standard error of the direction of the change of momentum
+
+
+def force_impulse(motion: MeasuredMotion) -> Impulse | None:
+    """Return the impulse of the force on the tip; a ratio of 1 and an angle of 0 if all fits.
+
+    None if the force has fewer than 50 samples per second, if there is no scene, or if poses or
+    force do not cover the contact and a time before it.
     """
     turned = motion.cone_force
-    if turned is None or motion.pair is None or motion.scene is None:
+    if turned is None or motion.pair is None or motion.scene is None or lacks_rate(motion):
         return None
     t, force = turned
-    if len(t) < 2 or 1.0 / max(float(np.median(np.diff(t))), 1e-9) < _MIN_RATE:
+    axis = motion.pair.target[:, 2]
+    along = first_change(motion, axis)
+    if along is None:
         return None
-    change = _first_change(motion, motion.pair.target[:, 2])
-    if change is None:
+    across = change_of_speed(motion, along.begin + BEFORE, axis + 0.5 * math.pi, 0.0)
+    quiet = (t >= along.begin - 4.0 * BEFORE) & (t < along.begin)
+    parts = [x for column in force.T if (x := _integral(t, column, along, quiet)) is not None]
+    if across is None or len(parts) < 2:
         return None
-    quiet = (t >= change.begin - 4.0 * BEFORE) & (t < change.begin)
-    impulse = _integral(t, force[:, 0], change, quiet)
-    if impulse is None:
-        return None
-    return impulse / (motion.scene.chaser_total_mass * change.speed)
+    momentum = motion.scene.chaser_total_mass * np.array([along.speed, across.speed])
+    size = math.hypot(*momentum)
+    angle = math.atan2(parts[1], parts[0]) - math.atan2(momentum[1], momentum[0])
+    error = math.hypot(along.error, across.error) / math.hypot(along.speed, across.speed)
+    return Impulse(math.hypot(*parts) / size, math.remainder(angle, math.tau), error)
+
+
+def lacks_rate(motion: MeasuredMotion) -> str:
+    """Return why the force is sampled too slowly for the impulse of a contact; '' if it is not."""
+    force = motion.force
+    if force is None or force.count < 2:
+        return "no force in known axes"
+    rate = 1.0 / max(float(np.median(np.diff(np.sort(force.t)))), 1e-9)
+    return f"force at {rate:.3g} Hz: must be {_MIN_RATE:g} Hz or more" if rate < _MIN_RATE else ""
 
 
 def spring_ratio(motion: MeasuredMotion, *, exchanged: bool = False) -> float | None:
@@ -115,7 +144,7 @@ def spring_ratio(motion: MeasuredMotion, *, exchanged: bool = False) -> float | 
     kept = buffer.is_measured
     t, first = np.unique(buffer.t[kept], return_index=True)
     stroke = (buffer.torsion if exchanged else buffer.stroke)[kept][first]
-    change = _first_change(motion, pair.chaser[:, 2])
+    change = first_change(motion, pair.chaser[:, 2])
     if change is None:
         return None
     momentum = (scene.chaser.mass + scene.cylinder.mass) * change.speed
@@ -127,7 +156,7 @@ def spring_ratio(motion: MeasuredMotion, *, exchanged: bool = False) -> float | 
     return None if impulse is None else impulse * spring.k_A / momentum
 
 
-def _first_change(motion: MeasuredMotion, axis: np.ndarray) -> SpeedChange | None:
+def first_change(motion: MeasuredMotion, axis: np.ndarray) -> SpeedChange | None:
     """Return the change of the chaser's speed over the first contact; None if no loss is known.
 
     The contact begins where the first of poses, buffer and force shows it, or, if that shows no

@@ -28,6 +28,8 @@ _TRACKED = 0.05
 _MIN_FORCE, _FORCE_SHARE = 2.0, 0.05
 #: If noise requires a threshold above this, N, the force may not show the begin of a contact.
 _CLEAR = 3.0
+#: Least rate at which a force shows the first touches of a contact, Hz.
+_MIN_FORCE_RATE = 800.0
 #: Least deflection of the buffer that begins a contact, m.
 MIN_DEFLECTION = 3e-4
 #: A tip this close to a wall may touch it, m: base frames are no better.
@@ -273,11 +275,15 @@ class MeasuredMotion:
 
     @property
     def is_force_clear(self) -> bool:
-        """True if the force leaves its zero, and its noise is too small to hide a contact's begin.
+        """True if the force leaves its zero, and neither noise nor rate can hide a contact's begin.
 
-        The noise is small enough if the threshold for the begin is at most 3 N.
+        The noise is small enough if the threshold for the begin is at most 3 N.  Below 800 samples
+        a second, the first touches may all lie between samples.
         """
-        return self.force_onset is not None and self._force_limit <= _CLEAR
+        force = self.force
+        if force is None or self.force_onset is None or self._force_limit > _CLEAR:
+            return False
+        return float(np.median(np.diff(np.sort(force.t)))) <= 1.0 / _MIN_FORCE_RATE
 
     @cached_property
     def force_onset(self) -> float | None:

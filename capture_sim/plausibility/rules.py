@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
+from capture_sim.plausibility.momentum import has_change, lacks_rate
 from capture_sim.plausibility.motion import MeasuredMotion
 
 
@@ -28,6 +29,7 @@ class Said(NamedTuple):
     text: str  # value, unit, expectation, and what to do
     messages: int | None = None  # number of messages concerned; None: all of the topic
     zero: tuple[float, float] = (0.0, 0.0)  # of stroke (m) and torsion (rad), to be subtracted
+    grade: Grade | None = None  # None: the rule's
 
 
 Check = Callable[[MeasuredMotion], Iterable[Said]]
@@ -38,12 +40,11 @@ class Rule:
     """One rule of plausibility: its check, and the texts that explain it to the user."""
 
     name: str
-    grade: Grade
+    grade: Grade  # the gravest that it gives
     compares: str  # what is compared with what
     threshold: str  # with its unit
     reason: str  # of the threshold
-    needs_scene: bool  # not checked without a scene
-    needs_poses: bool  # not checked after any rule of grade REFUSED has been broken
+    needs: tuple[str, ...]  # keys of NEEDS: without one of them the rule is not applied
     check: Check
 
 
@@ -56,11 +57,12 @@ class Doubt:
     text: str  # value, unit, expectation, and what to do
     messages: int | None = None  # number of messages concerned; None: all of the topic
     zero: tuple[float, float] = (0.0, 0.0)  # of stroke (m) and torsion (rad), to be subtracted
+    of_size: Grade | None = None  # grade by the size of the fault; None: that of the rule
 
     @property
     def grade(self) -> Grade:
-        """Grade of the broken rule."""
-        return self.rule.grade
+        """Grade of the broken rule: what it does to these measurements."""
+        return self.of_size or self.rule.grade
 
     @property
     def leaves_out_topic(self) -> bool:
@@ -84,8 +86,7 @@ def rule(
     compares: str,
     threshold: str,
     reason: str,
-    needs_scene: bool = False,
-    needs_poses: bool = False,
+    needs: tuple[str, ...] = (),
 ) -> Callable[[Check], Check]:
     """Return a decorator that adds a function to :data:`RULES` as the check of the rule ``name``.
 
@@ -93,26 +94,59 @@ def rule(
     """
 
     def add(check: Check) -> Check:
-        RULES[name] = Rule(
-            name, grade, compares, threshold, reason, needs_scene, needs_poses, check
-        )
+        RULES[name] = Rule(name, grade, compares, threshold, reason, needs, check)
         return check
 
     return add
 
 
-def broken(motion: MeasuredMotion, waived: Iterable[str] = ()) -> Iterator[Doubt]:
-    """Yield a doubt for each finding of the rules, in the order of :data:`RULES`.
+class Unapplied(NamedTuple):
+    """A rule that was not applied to measurements, and why."""
 
-    A rule is not checked if ``waived`` has its name, if it needs a scene and there is none, or if
-    it needs poses and a rule of grade REFUSED has been broken before.
+    rule: Rule
+    reason: str
+
+
+class Examined(NamedTuple):
+    """What the rules say of measurements."""
+
+    doubts: tuple[Doubt, ...]  # in the order of :data:`RULES`
+    unapplied: tuple[Unapplied, ...]
+
+
+#: What rules need, by name: a function that returns why it is lacking, '' if it is not.
+NEEDS: dict[str, Callable[[MeasuredMotion], str]] = {
+    "scene": lambda motion: "" if motion.scene is not None else "no scene",
+    "poses": lambda motion: "" if motion.pair is not None else "no poses of both vehicles",
+    "buffer": lambda motion: "" if motion.buffer is not None else "no state of the buffer",
+    "rate": lacks_rate,
+    "force": lambda motion: "" if motion.force is not None else "no force in known axes",
+    "contact": lambda motion: (
+        "" if has_change(motion) else "no contact that changes the chaser's speed"
+    ),
+}
+
+
+def examine(motion: MeasuredMotion, waived: Iterable[str] = ()) -> Examined:
+    """Return a doubt for each finding of the rules, in the order of :data:`RULES`.
+
+    A rule is not applied if ``waived`` has its name, or if something is lacking that it needs.
+    Poses of which a rule of grade REFUSED has been broken are lacking.
     """
-    left, refused = set(waived), False
+    left, doubts, unapplied, lacking = set(waived), [], [], dict[str, str]()
     for each in RULES.values():
-        if each.name in left or (each.needs_scene and motion.scene is None):
+        reason = "waived" if each.name in left else ""
+        for need in each.needs:
+            if need not in lacking:
+                lacking[need] = NEEDS[need](motion)
+            reason = reason or lacking[need]
+        if reason:
+            unapplied.append(Unapplied(each, reason))
             continue
-        if each.needs_poses and refused:
-            continue  # it would only repeat that the poses are wrong
         for said in each.check(motion):
-            refused = refused or each.grade is Grade.REFUSED
-            yield Doubt(each, *said)
+            doubt = Doubt(each, *said)
+            doubts.append(doubt)
+            of_poses = set(motion.pair_topic.split(" and ")) & set(said.topic.split(" and "))
+            if doubt.grade is Grade.REFUSED and of_poses and not lacking.get("poses"):
+                lacking["poses"] = f"poses refused ({each.name})"
+    return Examined(tuple(doubts), tuple(unapplied))

@@ -6,8 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from capture_sim.plausibility.motion import MIN_MESSAGES, MeasuredMotion
+from capture_sim.plausibility.measured import Poses
+from capture_sim.plausibility.motion import MIN_MESSAGES, N_SMOOTH, MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
+from capture_sim.plausibility.signals import smooth
 
 #: A source that ends earlier than the others by this has stopped, s.
 MAX_SILENCE = 0.5
@@ -15,6 +17,10 @@ MAX_SILENCE = 0.5
 _GAP = 0.75
 #: ... and by this many of its intervals.
 _MIN_INTERVALS = 20
+#: A pause between two trials, s, and how much further apart the vehicles are after it, m.
+_PAUSE, _BACK = 2.0, 0.05
+#: Least number of equal poses that stand.
+_STANDS = 50
 #: Ratio of two rates of a source above which its rate has changed.
 _RATE_RATIO = 1.7
 #: Least number of messages in a third of a recording to measure a rate.
@@ -22,38 +28,66 @@ _MIN_THIRD = 20
 
 
 @rule(
-    "never_tracked",
+    "no_pose",
     Grade.REFUSED,
-    compares="orientation and position of every pose of a vehicle",
-    threshold="no pose has finite numbers and a quaternion of norm > 0",
-    reason="drivers send zeros or NaN for a body that the cameras do not see",
+    compares="orientation and position of each pose of a vehicle",
+    threshold="numbers not finite, or norm of the quaternion < 0.001: these poses are left out; "
+    "refused if all are",
+    reason="an orientation has norm 1; drivers send zeros or NaN for a body that the cameras do "
+    "not see",
 )
-def never_tracked(motion: MeasuredMotion) -> Iterator[Said]:
-    """Yield a finding for each vehicle whose messages all lack a pose."""
+def no_pose(motion: MeasuredMotion) -> Iterator[Said]:
+    """Yield a finding for each vehicle with messages that lack a pose."""
     for name, poses in motion.measured.vehicles:
-        if not poses.is_measured.any():
+        lost = int((~poses.is_measured).sum())
+        if lost == poses.count:
             what = "quaternion 0 0 0 0" if (poses.norm < 1e-3).any() else "not finite"
             yield Said(
                 poses.topic,
-                f"{name} never tracked: all {poses.count} poses have {what}; define the rigid body "
-                "and check its markers",
+                f"{name} never tracked: all {lost} poses have {what}; define the rigid body and "
+                "check its markers",
             )
+        elif lost:
+            text = f"{lost} of {poses.count} messages hold no pose (a quaternion of norm 0, or NaN)"
+            yield Said(poses.topic, f"{text}: check the tracking", lost, grade=Grade.LEFT_OUT)
 
 
 @rule(
-    "no_pose",
-    Grade.LEFT_OUT,
-    compares="orientation and position of each pose",
-    threshold="numbers not finite, or norm of the quaternion < 0.001",
-    reason="an orientation has norm 1",
+    "poses_stand",
+    Grade.REFUSED,
+    compares="every pose of a vehicle with the one before",
+    threshold=f"all of {_STANDS} or more are equal to the last bit, while the other vehicle's have "
+    "noise, or the chaser's while the buffer shows a contact; not checked before a release",
+    reason="cameras measure with noise; a driver repeats the last pose of a body that it lost",
+    needs=("poses",),
 )
-def no_pose(motion: MeasuredMotion) -> Iterator[Said]:
-    """Yield a finding for each vehicle of whose messages some, but not all, lack a pose."""
-    for _, poses in motion.measured.vehicles:
-        lost = int((~poses.is_measured).sum())
-        if 0 < lost < poses.count:
-            text = f"{lost} of {poses.count} messages hold no pose (a quaternion of norm 0, or NaN)"
-            yield Said(poses.topic, f"{text}: check the tracking", lost)
+def poses_stand(motion: MeasuredMotion) -> Iterator[Said]:
+    """Yield a finding for each vehicle whose pose never changes although it is measured."""
+    if motion.measured.is_before_release:
+        return
+    stands = {name: _stands(poses) for name, poses in motion.measured.vehicles}
+    is_noisy = any(_is_noisy(poses) for _, poses in motion.measured.vehicles)
+    has_met = "buffer" in motion.contacts
+    for name, poses in motion.measured.vehicles:
+        if stands[name] and (is_noisy or (has_met and stands.get("chaser", False))):
+            yield Said(
+                poses.topic,
+                f"{name} never moves, and its pose has no noise: all {poses.count} must be "
+                "measurements; check the tracking",
+            )
+
+
+def _stands(poses: Poses) -> bool:
+    values = poses.values[poses.is_measured]
+    return len(values) >= _STANDS and bool((values == values[0]).all())
+
+
+def _is_noisy(poses: Poses) -> bool:
+    """Return True if nearly all poses differ from the one before in x, y and heading."""
+    if poses.is_measured.sum() < _STANDS:
+        return False
+    changes = np.diff(poses.planar, axis=0) != 0.0
+    return bool((changes.all(axis=1)).mean() > 0.9)
 
 
 @rule(
@@ -175,6 +209,30 @@ def gap(motion: MeasuredMotion) -> Iterator[Said]:
                 f"no measurement from {begin:.2f} to {end:.2f} s after the first{which}: what "
                 "happened meanwhile is not known, and counts from the end of the gap",
             )
+
+
+@rule(
+    "several_trials",
+    Grade.NOTED,
+    compares="distance between the vehicles after a pause of all sources with that before",
+    threshold=f"pause > {_PAUSE:g} s, and further apart by > {1e3 * _BACK:g} mm",
+    reason="a chaser is carried back for the next trial",
+    needs=("poses",),
+)
+def several_trials(motion: MeasuredMotion) -> Iterator[Said]:
+    """Yield a finding if the recording seems to hold several trials."""
+    pair = motion.pair
+    if pair is None or motion.measured.is_before_release:
+        return
+    t, distance = motion.smooth_times, smooth(motion.distance, N_SMOOTH)
+    paused = np.flatnonzero((np.diff(t) > _PAUSE) & (np.diff(distance) > _BACK))
+    if paused.size:
+        begins = ", ".join(f"{t[k + 1] - t[0]:.2f}" for k in paused)
+        yield Said(
+            motion.pair_topic,
+            f"{paused.size + 1} trials: one begins {begins} s after the first pose, further away "
+            "than the one before ended; they are evaluated as one: cut the recording",
+        )
 
 
 @rule(

@@ -37,6 +37,7 @@ _STOP_MARGIN = 2e-3
     "> 20 m)",
     reason="mm makes it 1000, inch 39 times too large; a trial that misses stays below 10, and "
     "below a half the bodies overlap",
+    needs=("poses",),
 )
 def position_units(motion: MeasuredMotion) -> Iterator[Said]:
     """Yield a finding if the distance between the vehicles shows that positions are not in m."""
@@ -97,7 +98,7 @@ def _unit_of(motion: MeasuredMotion, expected: float) -> str:
     "(at least 0.05 m and 0.1 rad), or noise > 2 mm or 20 mrad",
     reason="mm makes a stroke 1000, inch 39, deg a torsion 57 times too large; a push by hand "
     "stays below",
-    needs_scene=True,
+    needs=("scene", "buffer"),
 )
 def buffer_units(motion: MeasuredMotion) -> Iterator[Said]:
     """Yield a finding for each of stroke (if not in m) and torsion (if not in rad).
@@ -133,11 +134,15 @@ def buffer_units(motion: MeasuredMotion) -> Iterator[Said]:
     turned = math.sqrt(2.0 * energy / k_T) if k_T > 0.0 else math.pi
     limit = max(_ENERGY_MARGIN * turned, _MIN_TORSION_LIMIT)
     if torsion > limit:
+        turns = round(float(np.median(buffer.torsion[kept])) / math.tau)
+        rest = float(np.percentile(np.abs(buffer.torsion[kept] - turns * math.tau), 99.8))
         unit = _deflection_unit(torsion, turned, {"mrad": 1e-3, "deg": math.pi / 180.0})
+        look = f"torsions look like {unit}; have the driver send rad"
+        if turns and rest <= limit:
+            look = f"it is off by {turns:+d} turn{'s' if abs(turns) > 1 else ''}; set its zero"
         yield Said(
             buffer.topic,
-            f"torsion {torsion:.4g} rad: must be below {limit:.3g} rad; torsions look like {unit}; "
-            "have the driver send rad",
+            f"torsion {torsion:.4g} rad: must be below {limit:.3g} rad; {look}",
         )
 
 
@@ -167,7 +172,7 @@ def _speed(motion: MeasuredMotion) -> float:
     compares="stroke with the stops and the seat of the scene",
     threshold="0.2 % of the strokes beyond by > 2 mm",
     reason="stops yield, and an encoder's zero may be off",
-    needs_scene=True,
+    needs=("scene", "buffer"),
 )
 def beyond_stop(motion: MeasuredMotion) -> Iterator[Said]:
     """Yield a finding for each stop or seat of the scene that the stroke exceeds by over 2 mm."""

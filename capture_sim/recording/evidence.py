@@ -37,7 +37,9 @@ def evidence_in(bag: Bag) -> tuple[Measured, ...]:
     buffer = next((topic for topic in _BUFFERS if bag.holds(topic)), None)
     deflections = None if buffer is None else _deflections(bag, buffer, origin)
     force = _force(bag, origin)
-    release = -float(bag.clock.since(np.array([origin]))[0])
+    release = 0.0
+    with suppress(CaptureSimError):  # without poses or stamps
+        release = -float(bag.clock.since(np.array([origin]))[0])
     pairs = []
     for chaser, target in _PAIRS:
         of_c, of_t = (_poses(bag, topic, origin) for topic in (chaser, target))

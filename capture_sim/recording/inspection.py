@@ -155,6 +155,7 @@ def as_data(bag: Bag, run: Run) -> dict[str, object]:
         "problems": [*bag.left_out, *bag.problems],
         "series": [vars(row) for row in series_rows(bag, run)],
         "doubts": [_doubt(doubt) for doubt in run.doubts],
+        "not_applied": {rule.name: reason for rule, reason in run.unapplied},
         "missing": missing_for(run),
     }
 

@@ -89,6 +89,12 @@ def _scan(path: Path, named: Path, size: int, limit: int) -> Iterator[RecordCont
                 last = max(last, *found.times)
                 count += len(found.times)
             yield RecordContents((), found.messages, found.rejected)
+        wal = path.with_name(f"{path.name}-wal")
+        if wal.is_file() and wal.stat().st_size:
+            raise ValueError(
+                f"{named.name}-wal beside it has messages that are not in it yet: close the "
+                f"recorder, or run: sqlite3 {named.name} 'PRAGMA wal_checkpoint'"
+            )
     except GeneratorExit:
         raise
     except Exception as error:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,16 +30,6 @@ _FASTER = 2.0
 _FREE, _SHARE = 0.5, 1.2
 #: Least deflection that may be a contact, m.
 _LEAST = 2e-5
-
-
-class Located(Protocol):
-    """A run, as far as :func:`contact_text` needs it."""
-
-    @property
-    def first_contact(self) -> tuple[float, str] | None: ...
-
-    @property
-    def contact_bounds(self) -> Bounds | None: ...
 
 
 class Bounds(NamedTuple):
@@ -73,9 +63,8 @@ class Bounds(NamedTuple):
         return f"{value:.{digits}f} {unit} ({low} to {high})"
 
 
-def contact_text(run: Located) -> str:
-    """Return the time of a run's first contact with its bounds, and the source that shows it."""
-    first, bounds = run.first_contact, run.contact_bounds
+def contact_text(first: tuple[float, str] | None, bounds: Bounds | None) -> str:
+    """Return the time of a first contact, its source and its bounds in words."""
     if bounds is None:
         return "none" if first is None else f"{first[0]:.3f} s, by {first[1]}"
     text = bounds.text(None if first is None else first[0])
@@ -92,14 +81,14 @@ def contact_bounds(motion: MeasuredMotion, shown: Iterable[float] = ()) -> Bound
         return None
     t = motion.smooth_times
     margin = _FRAMES + _DEVIATIONS * motion.pose_noise
-    low, end = float(t[0]), float(t[-1])
+    low = least = float(t[0])
+    end = float(t[-1])
     if motion.stiff_gap[0] <= margin:
-        low = -math.inf
+        low = least = -math.inf
     else:
-        excluded = sorted([*_by_poses(motion, margin), *_by_buffer(motion, margin)])
-        for begin, until in excluded:
-            if begin <= low + 1e-9:
-                low = max(low, until)
+        by_poses = list(_by_poses(motion, margin))
+        least = _reached(low, by_poses)
+        low = _reached(low, [*by_poses, *_by_buffer(motion, margin)])
     seen = sorted(
         [
             *shown,
@@ -108,8 +97,11 @@ def contact_bounds(motion: MeasuredMotion, shown: Iterable[float] = ()) -> Bound
         ]
     )
     later = [x for x in seen if x >= low]
+    earlier = [x for x in seen if least <= x < low]
     if later:
         high = later[0]
+        if earlier:  # poses allow it: stamps of one source are late
+            low = max(least, earlier[0] - _sample_interval(motion))
     elif seen:  # a source shows a contact where another one excludes it
         return Bounds(seen[0], low, "the sources differ")
     elif low >= end - HOLE:
@@ -117,6 +109,20 @@ def contact_bounds(motion: MeasuredMotion, shown: Iterable[float] = ()) -> Bound
     else:
         high = math.inf
     return Bounds(low, high, _why(motion, low, high))
+
+
+def _reached(begin: float, excluded: Iterable[tuple[float, float]]) -> float:
+    """Return the time up to which intervals cover all from ``begin`` on, s."""
+    for low, high in sorted(excluded):
+        if low <= begin + 1e-9:
+            begin = max(begin, high)
+    return begin
+
+
+def _sample_interval(motion: MeasuredMotion) -> float:
+    """Return the largest median interval of buffer and force, s."""
+    channels = [x for x in (motion.buffer, motion.force) if x is not None]
+    return max((float(np.median(np.diff(np.sort(x.t)))) for x in channels), default=0.0)
 
 
 def _steps(t: np.ndarray) -> np.ndarray:

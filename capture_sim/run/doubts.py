@@ -6,12 +6,11 @@ from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from capture_sim.errors import RecordingError
-from capture_sim.plausibility.check import check, check_names
-from capture_sim.plausibility.measured import Measured
-from capture_sim.plausibility.rules import Doubt, Grade
+from capture_sim.plausibility.check import check_names
+from capture_sim.plausibility.motion import MeasuredMotion
+from capture_sim.plausibility.rules import Doubt, Grade, Unapplied, examine
 from capture_sim.run.lazy import LazyMapping
 from capture_sim.run.series import SeriesBySource
-from capture_sim.scene.parts import Scene
 
 
 class CountedSeries(NamedTuple):
@@ -72,18 +71,26 @@ def _from_zero(series: SeriesBySource, topic: str, zero: tuple[float, float]) ->
     return changed
 
 
-def doubts_of(
-    evidence: Sequence[Measured], scene: Scene | None, waived: Collection[str]
-) -> tuple[Doubt, ...]:
-    """Return the plausibility doubts about measurements, the most serious first.
+def examined(
+    motions: Sequence[MeasuredMotion], waived: Collection[str]
+) -> tuple[tuple[Doubt, ...], tuple[Unapplied, ...]]:
+    """Return the doubts about measurements, the gravest first, and the rules that were not applied.
 
-    There is one doubt for each broken rule and topic.  ``waived`` are names of rules that are not
-    checked; SceneError if one of them does not exist.
+    There is one doubt for each broken rule and topic.  A rule counts as applied if it was to one of
+    the motions.  ``waived`` are names of rules that are not applied; SceneError if one of them does
+    not exist.
     """
     check_names(waived)
     found: dict[tuple[str, str], Doubt] = {}
-    for measured in evidence:
-        for doubt in check(measured, scene, waived):
+    lacking: dict[str, list[Unapplied]] = {}
+    for motion in motions:
+        doubts, unapplied = examine(motion, waived)
+        for doubt in doubts:
             found.setdefault((doubt.rule.name, doubt.topic), doubt)
+        for each in unapplied:
+            lacking.setdefault(each.rule.name, []).append(each)
     order = list(Grade)
-    return tuple(sorted(found.values(), key=lambda doubt: order.index(doubt.grade)))
+    return (
+        tuple(sorted(found.values(), key=lambda doubt: order.index(doubt.grade))),
+        tuple(each[0] for each in lacking.values() if len(each) == len(motions)),
+    )

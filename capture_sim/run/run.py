@@ -20,10 +20,10 @@ from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.dynamics.samples import ENERGIES, Event, EventKind, Extremes
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.plausibility.motion import MIN_DEFLECTION, MeasuredMotion
-from capture_sim.plausibility.rules import Doubt, Grade
+from capture_sim.plausibility.rules import Doubt, Grade, Unapplied
 from capture_sim.plausibility.signals import onset
 from capture_sim.run.bounds import Bounds, contact_bounds, speed_error
-from capture_sim.run.doubts import CountedSeries, doubts_of, refuse, remaining
+from capture_sim.run.doubts import CountedSeries, examined, refuse, remaining
 from capture_sim.run.frames import Table, events_frame, samples_frame, topic_frame, touches_frame
 from capture_sim.run.given import Given, Integrated
 from capture_sim.run.loads import if_measured, loads_of, sampled_extremes, with_closest
@@ -185,8 +185,9 @@ class Run(ABC):
         if "scene" in of_source and "origin" not in changes:
             changes["origin"] = replace(self.origin, scene_sha256="")
         run = replace(self, **changes)
-        if "doubts" in vars(self) and not {*of_source, *changes} & {"evidence", "scene", "waived"}:
-            vars(run)["doubts"] = self.doubts  # not looked for a second time
+        if not {*of_source, *changes} & {"evidence", "scene", "waived"}:
+            kept = ("_examined", "_motions")  # not looked for a second time
+            vars(run).update({name: vars(self)[name] for name in kept if name in vars(self)})
         return run
 
     @cached_property
@@ -221,14 +222,27 @@ class Run(ABC):
 
     # measurements
 
-    @cached_property
+    @property
     def doubts(self) -> tuple[Doubt, ...]:
         """Plausibility rules that the measurements break, the most serious first.
 
         Code that evaluates or fits measurements calls :func:`checked` instead.  It also removes the
         topics that a rule leaves out.
         """
-        return doubts_of(self.given.evidence, self.given.scene, self.waived)
+        return self._examined[0]
+
+    @property
+    def unapplied(self) -> tuple[Unapplied, ...]:
+        """Plausibility rules that the measurements do not allow to apply, and why."""
+        return self._examined[1]
+
+    @cached_property
+    def _examined(self) -> tuple[tuple[Doubt, ...], tuple[Unapplied, ...]]:
+        return examined(self._motions, self.waived)
+
+    @cached_property
+    def _motions(self) -> list[MeasuredMotion]:
+        return [MeasuredMotion(each, self.given.scene) for each in self.given.evidence]
 
     def measured(self, quantity: str) -> Series:
         """Return the series of a quantity from its first sensor, else from the exact state.
@@ -273,11 +287,11 @@ class Run(ABC):
         bounds = contact_bounds(motion, () if shown is None else [shown.t + release])
         return None if bounds is None else bounds.later(-release)
 
-    @cached_property
+    @property
     def _motion(self) -> MeasuredMotion | None:
-        if self.is_exact or self.given.scene is None or not self.given.evidence:
+        if self.is_exact or self.given.scene is None:
             return None
-        return MeasuredMotion(self.given.evidence[0], self.given.scene)
+        return next(iter(self._motions), None)
 
     @cached_property
     def _contact_shown(self) -> FirstContact | None:
@@ -472,9 +486,10 @@ class Run(ABC):
         bounds, first = self.contact_bounds, self.first_contact
         if self._motion is None:
             return None
+        t = None if first is None else first.t
         if bounds is None:
-            return (None if first is None else first.t, None, None)
-        return (None if first is None else first.t, *map(if_measured, bounds[:2]))
+            return t, None, None
+        return t, if_measured(bounds.low), if_measured(bounds.high)
 
     @cached_property
     def drawn_scene(self) -> Scene:

@@ -218,50 +218,70 @@ def _without_unresolved_touches(side: Side, other: Side) -> Side:
     return replace(side, touches=None, touch_source=reason)
 
 
-#: Touches of two runs can be a pair if their times after the first contact differ by less than
-#: PAIR_TIME (s) plus PAIR_SHARE times the later of the two times.
-PAIR_TIME, PAIR_SHARE = 0.005, 0.1
+#: Cost of a touch without a partner.  A pair costs the logarithms of the ratios of its times, each
+#: plus PAIR_TIME (s), with this weight, of its peaks and of its durations.
+_ALONE, PAIR_TIME, _OF_TIME = 1.0, 0.005, 3.0
+#: A pair is ambiguous if the whole pairing without it costs less than this more.
+_AMBIGUOUS = 0.5
 
 
-def pair_touches(a: Touches, b: Touches) -> list[tuple[int | None, int | None]]:
-    """Return pairs of corresponding touches of two runs, by index; None if there is no partner.
+class TouchPair(NamedTuple):
+    """Corresponding touches of two runs, by index; None if a touch has no partner."""
 
-    Touches of a pair are at the same wall, and close to each other in time.  Pairs are in the order
-    of time in both runs.  The pairing minimises the sum of the time differences, where a touch
-    without a partner counts as half of its largest permitted difference.  Times must be relative to
-    the first contact of each run.  A touch at an unknown wall matches any wall.
+    a: int | None
+    b: int | None
+    is_ambiguous: bool = False  # True if another pairing is nearly as good
+
+
+def pair_touches(a: Touches, b: Touches) -> list[TouchPair]:
+    """Return the pairs of corresponding touches of two runs, in the order of time in both.
+
+    The pairing is the alignment of two sequences with the least cost (Needleman and Wunsch, 1970).
+    Touches of a pair are at the same wall, or at an unknown one; the nearer their times, peaks and
+    durations are, by their ratios, the less they cost.  Times must be relative to the first contact
+    of each run.
     """
-    count_a, count_b = a.start.size, b.start.size
-    limits = [PAIR_TIME + PAIR_SHARE * abs(t) for t in (*a.start.tolist(), *b.start.tolist())]
-    alone_a, alone_b = 0.5 * np.array(limits[:count_a]), 0.5 * np.array(limits[count_a:])
-    cost = np.zeros((count_a + 1, count_b + 1))  # of the touches from i and from k on
-    cost[:count_a, -1] = np.cumsum(alone_a[::-1])[::-1]
-    cost[-1, :count_b] = np.cumsum(alone_b[::-1])[::-1]
-    for i in reversed(range(count_a)):
-        for k in reversed(range(count_b)):
-            cost[i, k] = min(alone_a[i] + cost[i + 1, k], alone_b[k] + cost[i, k + 1])
-            if _may_pair(a, b, i, k):
-                cost[i, k] = min(cost[i, k], abs(a.start[i] - b.start[k]) + cost[i + 1, k + 1])
-    pairs: list[tuple[int | None, int | None]] = []
-    i = k = 0
-    while i < count_a or k < count_b:
-        if i < count_a and (k == count_b or cost[i, k] == alone_a[i] + cost[i + 1, k]):
-            pairs.append((i, None))
-            i += 1
-        elif i == count_a or cost[i, k] == alone_b[k] + cost[i, k + 1]:
-            pairs.append((None, k))
-            k += 1
-        else:
-            pairs.append((i, k))
+    n, m = a.start.size, b.start.size
+    cost = _pair_costs(a, b)
+    first, last = np.zeros((n + 1, m + 1)), np.zeros((n + 1, m + 1))  # before, and from i and k on
+    first[:, 0], first[0] = _ALONE * np.arange(n + 1), _ALONE * np.arange(m + 1)
+    last[:, m], last[n] = first[::-1, 0], first[0, ::-1]
+    for i in range(n):
+        for k in range(m):
+            alone = min(first[i, k + 1], first[i + 1, k]) + _ALONE
+            first[i + 1, k + 1] = min(alone, first[i, k] + cost[i, k])
+            i_r, k_r = n - 1 - i, m - 1 - k
+            alone = min(last[i_r + 1, k_r], last[i_r, k_r + 1]) + _ALONE
+            last[i_r, k_r] = min(alone, last[i_r + 1, k_r + 1] + cost[i_r, k_r])
+    paired = first[:-1, :-1] + cost + last[1:, 1:]  # of the best pairing with each pair
+    without = (first[:-1] + last[1:]).min(axis=1, initial=np.inf) + _ALONE  # ... with i alone
+    pairs, i, k = [], 0, 0
+    while i < n or k < m:
+        if i < n and k < m and np.isclose(last[i, k], cost[i, k] + last[i + 1, k + 1]):
+            others = np.delete(paired[i], k)
+            rest = min(float(without[i]), float(others.min(initial=np.inf))) - paired[i, k]
+            pairs.append(TouchPair(i, k, bool(rest < _AMBIGUOUS)))
             i, k = i + 1, k + 1
+        elif k == m or (i < n and np.isclose(last[i, k], _ALONE + last[i + 1, k])):
+            pairs.append(TouchPair(i, None))
+            i += 1
+        else:
+            pairs.append(TouchPair(None, k))
+            k += 1
     return pairs
 
 
-def _may_pair(a: Touches, b: Touches, i: int, k: int) -> bool:
-    walls = {int(a.wall[i]), int(b.wall[k])} - {0}
-    t_a, t_b = float(a.start[i]), float(b.start[k])
-    limit = PAIR_TIME + PAIR_SHARE * max(abs(t_a), abs(t_b))
-    return len(walls) < 2 and abs(t_a - t_b) < limit
+def _pair_costs(a: Touches, b: Touches) -> np.ndarray:
+    """Return the cost of each pair of touches, (n, m); infinite at different walls."""
+
+    def ratios(of_a: np.ndarray, of_b: np.ndarray) -> np.ndarray:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logs = np.abs(np.log(of_a[:, None] / of_b[None, :]))
+        return np.nan_to_num(logs, nan=0.0, posinf=0.0)  # what was not measured costs nothing
+
+    times = (np.maximum(each.start, 0.0) + PAIR_TIME for each in (a, b))
+    cost = _OF_TIME * ratios(*times) + ratios(a.peak, b.peak) + ratios(a.lasted, b.lasted)
+    return np.where(a.wall[:, None] * b.wall[None, :] < 0.0, np.inf, cost)
 
 
 #: Least number of common samples for a comparison of two series.

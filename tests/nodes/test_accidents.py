@@ -93,9 +93,9 @@ LIMITS |= {"after_verdict": 1.0, "max_buffer_age": 1.0}
 REFUSED = {
     "poses in mm": "[rule start]",
     "w first": "refused (tilted)",
-    "zero quaternion": "refused (never_tracked)",
+    "zero quaternion": "refused (no_pose)",
     "two frames": "refused (frames_differ)",
-    "3 s ahead": "refused (clocks_apart)",
+    "3 s ahead": "refused (clock_offset)",
     "slide in mm": "[rule buffer_rest]",
     "steady clock": "[rule machine_clock]",
 }
@@ -113,8 +113,8 @@ ABORTED_AT_ONCE = {
     "another origin": "jumped by 2",
 }
 UNDECIDED = {
-    "slide inverted": "refused (buffer_inverted)",
-    "slide stuck": "refused (buffer_stuck)",
+    "slide inverted": "refused (buffer_against_poses)",
+    "slide stuck": "refused (buffer_against_poses)",
     "encoders die": "joint_states: stopped ",
 }
 

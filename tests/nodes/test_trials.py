@@ -346,7 +346,7 @@ def test_diagnostics_of_the_sources(start, client, tmp_path):
     wait_until(lambda: name in found and found[name].message == "no publisher")
     wait_until(lambda: own in found and found[own].level == b"\1")
     with session.bench(pace=1.0, rate=100.0, encoder_offset=0.4):
-        wait_until(lambda: "clocks_apart" in found[own].message, lambda: str(found[own]))
+        wait_until(lambda: "clock_offset" in found[own].message, lambda: str(found[own]))
         source = "capture_detector: /joint_states"
         wait_until(lambda: found[source].message.startswith("clock +0.4"))
         assert found[source].level == b"\1"

@@ -161,7 +161,7 @@ def with_x(x_of, source, path):
 
 def test_poses_that_are_no_numbers_are_left_out(path, tmp_path, capsys):
     file = with_x(lambda x: np.nan, path, tmp_path / "nan.mcap")
-    said = "/chaser/odom: refused (never_tracked): chaser never tracked: all"
+    said = "/chaser/odom: refused (no_pose): chaser never tracked: all"
     for command, status, errors, _ in answers(file, tmp_path, capsys, ("detect", "view", "report")):
         assert status == 2, command
         assert f"{file}: {said}" in errors[0], command

@@ -106,4 +106,4 @@ def test_a_damaged_or_absent_file_is_named(whole, tmp_path):
 
 def test_an_excluded_topic_is_named(whole, tmp_path):
     [line] = problems(whole, tmp_path, dirty.CHANGES["encoder_inverted"])
-    assert "buffer_inverted" in line
+    assert "buffer_against_poses" in line

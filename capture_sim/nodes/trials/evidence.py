@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
 
 from capture_sim.messages.topics import Topic
+from capture_sim.plausibility.measured import Measured
+from capture_sim.plausibility.motion import MeasuredMotion
 from capture_sim.plausibility.rules import RULES, Doubt, Grade
 from capture_sim.recording.bag import Bag
 from capture_sim.recording.contents import Contents
 from capture_sim.recording.evidence import evidence_in
-from capture_sim.run.doubts import doubts_of
+from capture_sim.run.doubts import examined
 from capture_sim.scene.parts import Scene
 
 #: Length of the latest messages, s, that are checked before a release.
@@ -74,14 +76,17 @@ class Evidence:
         Without a scene, the rules that need one are not checked.
         """
         held = [replace(each, is_before_release=True) for each in evidence_in(latest)]
-        return doubts_of(held, scene, self._waived)
+        return self._doubts_of(held, scene)
 
     def of_trial(self, scene: Scene) -> tuple[Doubt, ...]:
         """Return the broken rules of the messages since the release, each with its finding.
 
         Of a long trial, only the last :data:`MAX_AGE` s count.
         """
-        return doubts_of(evidence_in(self._since(self._begun)), scene, self._waived)
+        return self._doubts_of(evidence_in(self._since(self._begun)), scene)
+
+    def _doubts_of(self, evidence: Sequence[Measured], scene: Scene | None) -> tuple[Doubt, ...]:
+        return examined([MeasuredMotion(each, scene) for each in evidence], self._waived)[0]
 
     def _since(self, begin: int) -> Bag:
         contents = Contents()
