@@ -93,7 +93,7 @@ def test_what_is_no_calibration_is_refused_in_one_line(tmp_path, changes, said):
     [
         (TRUE, (0.0, 0.0, 0.0), "the trial agrees with the calibration"),
         ({**TRUE, "buffer.k_A": 570.0}, (0.0, 0.0, 0.0), "its parameters differ"),
-        (TRUE, (0.0, 5e-3, 0.0), "its vehicles were not placed as the scene says"),
+        (TRUE, (0.0, 5e-3, 0.0), "its vehicles were not placed to each other as the scene says"),
     ],
 )
 def test_a_trial_is_compared_with_a_calibrated_bench(true, shift, said):

@@ -27,6 +27,7 @@ from capture_sim.studies.calibration.candidates import FIELDS, Score, possible
 from capture_sim.studies.calibration.checks import convergence, direction_words
 from capture_sim.studies.calibration.descent import EndedSearch, Found
 from capture_sim.studies.calibration.files import as_data, read_calibrated, scene_text
+from capture_sim.studies.calibration.frame import Frame
 from capture_sim.studies.calibration.joint import Linear, Problem, inverse
 from capture_sim.studies.calibration.new_trial import agreement_of
 from capture_sim.studies.calibration.parameters import Weighed, parameters_of, read_weighed
@@ -388,6 +389,30 @@ def test_a_trial_agrees_with_a_calibration_that_held_values_wrong(tmp_path):
     coming = measured_trial(short_scene(0.1), true, 9)
     agreement = agreement_of(coming, calibrated, Placement(2e-4, 1e-3))
     assert agreement.agrees, agreement.sentence
+
+
+@pytest.mark.parametrize("frame", [Frame(0.0, 0.1, 0.0), Frame(0.5), Frame(2.5, 0.3, -0.2)])
+def test_a_trial_in_another_frame_of_the_cameras_is_the_same_trial(frame, tmp_path):
+    """Before, 0.1 m or 0.5 rad made a chi2 of 1e7, without a word of the frame."""
+    found = calibrate(two_trials(), NAMES, restarts=0)
+    (tmp_path / "calibration.json").write_text(json.dumps(as_data(found, {})))
+    coming = measured_trial(short_scene(0.1), TRUE, 9)
+    series = dict(coming.series)
+    for name in ("chaser", "target"):
+        series[name] = {
+            topic: Series(each.t, frame.applied(each.values))
+            for topic, each in series[name].items()
+        }
+    agreements = [
+        agreement_of(run, read_calibrated(tmp_path), Placement(2e-4, 1e-3))
+        for run in (coming, coming.replaced(series=series))
+    ]
+    assert all(each.agrees for each in agreements), agreements[1].sentence
+    assert agreements[1].parameters.statistic == pytest.approx(
+        agreements[0].parameters.statistic, rel=0.02
+    )
+    assert "the cameras' frame is turned by" in agreements[1].sentence
+    assert "frame" not in agreements[0].sentence
 
 
 # what is held

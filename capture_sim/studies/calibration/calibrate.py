@@ -362,6 +362,9 @@ def _notes(runs: Sequence[Run], trials: Sequence[FittedTrial]) -> tuple[str, ...
     """Return lines on what trials lack, and on what of them is not used."""
     found: dict[str, list[str]] = {}
     for run, trial in zip(runs, trials, strict=True):
+        if trial.frame.is_far:
+            words = f"the frame of the poses is {trial.frame.text} against the scene's: taken out"
+            found.setdefault(words, []).append(Path(trial.name).name)
         missing = {"stroke", "torsion"} - {channel.name for channel in trial.channels}
         if missing:
             words = f"no {' and no '.join(sorted(missing))}: the buffer is known by poses alone"

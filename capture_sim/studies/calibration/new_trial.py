@@ -21,6 +21,7 @@ from capture_sim.scene.paths import LAUNCH, get, with_values
 from capture_sim.studies.calibration.calibrate import STARTS, Start, fit_trials
 from capture_sim.studies.calibration.checks import block_means, chi2_tail, reduced
 from capture_sim.studies.calibration.files import Calibrated
+from capture_sim.studies.calibration.frame import Frame
 from capture_sim.studies.calibration.joint import Linear, Problem, inverse
 from capture_sim.studies.calibration.parameters import (
     SENSOR_ERRORS,
@@ -59,6 +60,7 @@ class TrialAgreement(NamedTuple):
     furthest: str  # parameter that the trial changes by the most of its standard errors
     start: Start
     simulations: int
+    frame: Frame = Frame()  # what brings the trial's poses into the scene's frame
 
     @property
     def agrees(self) -> bool:
@@ -68,16 +70,19 @@ class TrialAgreement(NamedTuple):
     @property
     def sentence(self) -> str:
         """The result in one sentence."""
+        frame = ""
+        if self.frame.is_far:
+            frame = f" (the cameras' frame is {self.frame.text} against the scene's: taken out)"
         if self.agrees:
-            return "the trial agrees with the calibration"
+            return f"the trial agrees with the calibration{frame}"
         reasons = []
         if not self.noise.agrees:
             reasons.append("its residuals are not noise, whatever the parameters are")
         if not self.parameters.agrees:
             reasons.append(f"its parameters differ, {self.furthest} most")
         if not self.placement.agrees:
-            reasons.append("its vehicles were not placed as the scene says")
-        return f"the trial does not agree with the calibration: {'; '.join(reasons)}"
+            reasons.append("its vehicles were not placed to each other as the scene says")
+        return f"the trial does not agree with the calibration: {'; '.join(reasons)}{frame}"
 
 
 def agreement_of(run: Run, calibrated: Calibrated, placement: Placement) -> TrialAgreement:
@@ -134,6 +139,7 @@ def agreement_of(run: Run, calibrated: Calibrated, placement: Placement) -> Tria
         furthest,
         found.starts[0],
         problem.simulations,
+        trial.frame,
     )
 
 
@@ -213,10 +219,19 @@ def _noise_test(at: Linear, problem: Problem) -> Comparison:
 
 
 def _placement_test(start: Start, scene: Scene, placement: Placement) -> Comparison:
-    """Return the test that the vehicles started at the poses of the scene, within ``placement``."""
+    """Return the test that the vehicles started to each other as in the scene, in ``placement``.
+
+    The frame of the poses is free: three of the six differences are those of a rigid motion.
+    """
     expected = np.array([float(get(scene, path)) for path in STARTS])
     allowed = np.tile([placement.position, placement.position, placement.angle], 2)
     off = start.values - expected
     off[[2, 5]] = [math.remainder(angle, math.tau) for angle in off[[2, 5]]]
-    statistic = float((off**2 / (start.errors**2 + allowed**2)).sum())
-    return Comparison("placement", statistic, off.size, chi2_tail(statistic, off.size))
+    motion = np.zeros((6, 3))  # of both poses by shifts along x and y and a turn about the origin
+    for k in (0, 3):
+        motion[k : k + 3] = [[1.0, 0.0, -expected[k + 1]], [0.0, 1.0, expected[k]], [0.0, 0.0, 1.0]]
+    weights = 1.0 / np.hypot(start.errors, allowed)
+    of_frame, *_ = np.linalg.lstsq(weights[:, None] * motion, weights * off)
+    left = weights * (off - motion @ of_frame)
+    statistic, freedom = float(left @ left), off.size - motion.shape[1]
+    return Comparison("placement", statistic, freedom, chi2_tail(statistic, freedom))

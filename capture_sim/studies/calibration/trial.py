@@ -24,6 +24,7 @@ from capture_sim.run.series import PARTS, Series
 from capture_sim.run.touches import Touches
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import with_values
+from capture_sim.studies.calibration.frame import NO_FRAME, Frame, in_frame_of_scene
 from capture_sim.studies.calibration.parameters import SENSOR_ERRORS
 
 #: Numbers of a trial: pose of the target relative to the chaser, common pose, and release.
@@ -80,6 +81,7 @@ class FittedTrial:
     cut: float  # s, first hold after the release; infinite without a hold
     is_release_fitted: bool
     touches: Touches | None = None
+    frame: Frame = NO_FRAME  # what brought the poses into the scene's frame
 
     @property
     def size(self) -> int:
@@ -121,7 +123,7 @@ def trial_of(
     until: float = math.inf,
     is_release_fitted: bool = True,
 ) -> FittedTrial:
-    """Return a run as a trial that can be fitted.
+    """Return a run as a trial that can be fitted, its poses in the frame of its scene.
 
     Parameters
     ----------
@@ -145,6 +147,7 @@ def trial_of(
         All measurements have the same time.
     """
     name = run.origin.path or run.name
+    run, frame = in_frame_of_scene(run, run.scene)
     scene = launched(run)
     cut = hold_after_release(run)
     end = min(until, cut, scene.run.t_end)
@@ -180,6 +183,7 @@ def trial_of(
         cut=cut,
         is_release_fitted=is_release_fitted,
         touches=touches,
+        frame=frame,
     )
 
 
