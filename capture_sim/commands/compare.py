@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import json
 import math
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,6 +27,7 @@ from capture_sim.commands.inputs import (
 )
 from capture_sim.commands.output import drawing, echo, warn
 from capture_sim.errors import RecordingError
+from capture_sim.run.loads import if_measured
 from capture_sim.run.run import Run
 from capture_sim.run.touches import Touches
 from capture_sim.studies.agreement import Agreement, agreement
@@ -56,6 +59,8 @@ IDENTICAL = "identical"
 PLACEMENT = "1 mm, 5 mrad"
 #: A difference larger than this multiple of the value of A is not printed in percent.
 _LARGEST_SHARE = 10.0
+#: Fields of a touch in JSON.
+_OF_TOUCHES = ("start", "peak", "lasted", "impulse", "wall")
 #: Maximum number of rows in the printed list of touches.
 SHOWN = 12
 FAILS = (
@@ -111,6 +116,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write the plot to this folder (default: next to the recording A; for a scene, the "
         "current folder)",
     )
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="print numbers, touches and differences as JSON; without a plot",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -135,18 +145,84 @@ def run(options: argparse.Namespace) -> int:
         for source in sources
     ]
     labels = [f"{letter} {source}" for letter, source in zip("AB", sources, strict=False)]
-    status = OK
+    status, is_identical = OK, None
     if options.simulated:
         runs.append(_simulated(runs[0]))
         labels.append(f"B {runs[0].scene.name}, simulated")
         if runs[0].is_exact:
             found = agreement(*runs)
-            _print_agreement(found, runs[0])
+            is_identical = found.identical
+            if not options.json:
+                _print_agreement(found, runs[0])
             status = OK if found.within(options.tolerance) else FAILED
             if runs[0].first_contact is None and runs[1].first_contact is None:
+                if options.json:
+                    echo(json.dumps({"bit_identical": is_identical}))
                 return status
-    _compare(*sides(*runs), labels, options)
+    pair = sides(*runs)
+    if options.json:
+        over = min(options.window, _check_window(*pair, options.window))
+        data = {"bit_identical": is_identical, **_as_data(pair, labels, over)}
+        json.dump(data, sys.stdout, indent=1)
+        echo("")
+    else:
+        _compare(*pair, labels, options)
     return status
+
+
+def _as_data(pair: tuple[Side, Side], labels: list[str], over: float) -> dict[str, object]:
+    """Return the comparison over the time ``over``, s after the contacts, as data for JSON."""
+    a, b = pair
+    sampled = a.touches is None or b.touches is None
+    numbers = [characteristics(side, sampled=sampled) for side in pair]
+    names = dict.fromkeys(name for of_side in numbers for name in of_side)
+    touches: list[dict[str, object]] = []
+    if a.touches is not None and b.touches is not None:
+        both = [
+            t.within(side.contact, over)
+            for t, side in zip((a.touches, b.touches), pair, strict=True)
+        ]
+        touches = [
+            {
+                "is_ambiguous": found.is_ambiguous,
+                **{
+                    letter: None
+                    if k is None
+                    else {name: if_measured(float(getattr(of, name)[k])) for name in _OF_TOUCHES}
+                    for letter, of, k in zip("ab", both, found[:2], strict=True)
+                },
+            }
+            for found in pair_touches(*both)
+        ]
+    return {
+        "a": labels[0],
+        "b": labels[1],
+        "window": over,
+        "figures": {
+            name: {
+                letter: {"value": of[name].value, "source": of[name].source}
+                for letter, of in zip("ab", numbers, strict=True)
+                if name in of
+            }
+            for name in names
+        },
+        "first_contact_bounds": {
+            letter: None if bounds is None else [if_measured(bounds.low), if_measured(bounds.high)]
+            for letter, side in zip("ab", pair, strict=True)
+            for bounds in [side.run.contact_bounds]
+        },
+        "touches": touches,
+        "differences": [
+            {
+                "series": gap.series,
+                "part": gap.part.label,
+                "rms": gap.rms,
+                "largest": gap.largest,
+                "at": gap.at,
+            }
+            for gap in gaps(a.measured, b.measured, a.contact, b.contact, over)
+        ],
+    }
 
 
 def _with_calibration(options: argparse.Namespace) -> int:

@@ -73,23 +73,26 @@ class ResultsFolder:
             return
         self._deleted = set()
 
-    def add(self, runs: Sequence[Recorded]) -> None:
+    def add(self, runs: Sequence[Recorded], *, quiet: bool = False) -> None:
         """Print a table of the command's runs, and update the tables of the folder.
 
-        If ``runs`` is empty, nothing is printed or written.
+        If ``runs`` is empty, nothing is printed or written; with ``quiet`` nothing is printed.
         """
         if not runs:
             return
         own = [_plain({**run.run.summary, RECORDING: run.path and run.path.name}) for run in runs]
         labels = [run.label for run in runs]
         printed = table(own, labels)
-        echo(f"\n{printed}\n")
+        if not quiet:
+            echo(f"\n{printed}\n")
         with _alone(self._folder):
             rows, notes = self._merged(own)
             numbers = write_json(self._folder / NUMBERS, rows)
             is_printed = rows == own and _labels(rows) == labels
             text = "\n".join([printed if is_printed else table(rows, _labels(rows)), *notes])
             kept = write_text(self._folder / TABLE, text + "\n")
+        if quiet:
+            return
         of = "table" if len(rows) == len(own) else f"table of all {len(rows)} runs"
         echo(f"{of} in {kept}, numbers in {numbers}")
 

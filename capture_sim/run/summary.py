@@ -61,6 +61,7 @@ def summarize(
         "verdict": None if status is None else status.state.label,
         "verdict_time": if_measured(since),
         "verdict_time_low": None if status is None else if_measured(since - status.may_precede),
+        "verdict_time_high": None if status is None else if_measured(since + status.may_follow),
         "left_again": status is not None and status.left_again,
         "not_used": "" if status is None else status.not_used,
         "problems": list(problems),
@@ -113,6 +114,7 @@ KEYS = {
     "verdict": ("", "the detector's verdict; `null`: nothing to detect with"),
     "verdict_time": ("s", "begin of the verdict's state, since the release"),
     "verdict_time_low": ("s", "earliest time at which it may have begun: noise and gaps"),
+    "verdict_time_high": ("s", "latest time at which it may have begun; `null`: none is certain"),
     "left_again": ("", "true: a captured tip has left the capture zone again"),
     "not_used": ("", "measurements that the detector did not use"),
     "problems": ("", "why the run or its recording is incomplete"),
@@ -235,7 +237,8 @@ def _number_keys() -> frozenset[str]:
         *("impact_speed", "first_contact_time", "first_contact_duration", "energy_residual"),
         *("first_contact_touches", "first_contact_peak_force", "normal_impulse"),
         *("wall_time", "real_time_factor", NEAREST_ERROR, "impact_speed_error"),
-        *("verdict_time", "verdict_time_low", "first_contact_time_low", "first_contact_time_high"),
+        *("verdict_time", "verdict_time_low", "verdict_time_high"),
+        *("first_contact_time_low", "first_contact_time_high"),
     }
     nothing = Extremes(np.zeros(1, EXTREMES)[0], None)
     return frozenset(of_runs | loads_of(nothing, np.zeros(0, TOUCH)).keys())

@@ -26,7 +26,7 @@ def test_run_prints_a_table_and_writes_numbers(tmp_path, capsys):
     assert rows[0].keys() == {
         *("name", "verdict", "left_again", "not_used", "problems", "doubts", "impact_speed"),
         *("impact_speed_missing", "nearest_distance_error", "impact_speed_error"),
-        *("verdict_time", "verdict_time_low"),
+        *("verdict_time", "verdict_time_low", "verdict_time_high"),
         *("first_contact_time_low", "first_contact_time_high"),
         *("first_contact_time", "first_contact_duration", "first_contact_touches"),
         *("first_contact_peak_force", "normal_impulse", "loads_from", "energy_residual"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -201,6 +202,19 @@ def test_a_softer_buffer_has_the_same_touches_in_the_same_order():
     shares = [touches[1].peak[k] / touches[0].peak[k] - 1.0 for k in range(7)]
     assert max(shares) < 0.01
     assert min(shares) > -0.3
+
+
+def test_a_comparison_can_be_read_by_a_program(path, other, capsys):
+    assert main(["compare", str(path), str(other), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    figures = data["figures"]["first contact, s"]
+    assert {letter: figures[letter]["source"] for letter in "ab"} == dict.fromkeys(
+        "ab", "bench/event"
+    )
+    assert data["touches"][0]["a"]["wall"] == data["touches"][0]["b"]["wall"]
+    assert {gap["series"] for gap in data["differences"]} >= {"chaser", "stroke"}
+    assert main(["compare", str(path), "--simulated", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["bit_identical"] is True
 
 
 def test_touches_that_could_be_paired_otherwise_are_said_to_be():
