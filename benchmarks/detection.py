@@ -293,7 +293,7 @@ def alarms(k):
 
 
 def clean(asked, _):
-    """The rules of plausibility on recordings without a fault."""
+    """Rules of plausibility in recordings without a fault."""
     lines = parallel(asked, alarms, range(asked.bounds))
     print(*(line for found in lines for line in found), sep="\n")
     wrong = sum(map(bool, lines))
@@ -301,7 +301,7 @@ def clean(asked, _):
 
 
 def bounds(asked, _):
-    """Bounds of the first contact and of the verdict in recordings with drawn faults."""
+    """Bounds of times in recordings with drawn faults."""
     answers = parallel(asked, bound, range(asked.bounds))
     rows = []
     for what in ("any", "none", "zero", "hole", "repeats", "latency", "late begin"):
