@@ -70,6 +70,7 @@ def command_parser(name: str) -> argparse.ArgumentParser:
         description=textwrap.fill(command.DESCRIPTION, shutil.get_terminal_size().columns - 2),
         epilog=f"example:\n{command.EXAMPLE}{_failure(getattr(command, 'FAILS', ''))}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,  # an option of a later version would change what "--ou" means
     )
     command.add_arguments(parser)
     known = {option for action in parser._actions for option in action.option_strings}

@@ -19,6 +19,7 @@ from capture_sim.commands.inputs import (
     add_overrides,
     add_remaps,
     add_seed,
+    add_workers,
     is_recording,
     not_negative,
     open_run,
@@ -45,6 +46,7 @@ from capture_sim.studies.calibration.prediction import (
     shown_figure,
 )
 from capture_sim.studies.calibration.trial import launched
+from capture_sim.studies.executors import open_executor
 
 DESCRIPTION = (
     "Fit the parameters of a bench to all of its trials. Each trial has its own start poses and "
@@ -120,6 +122,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_geometry(parser)
     add_remaps(parser)
     add_overrides(parser)
+    add_workers(parser)
     add_seed(parser, "the restarts and of the prediction's draws")
     add_out(parser, "runs/calibration")
 
@@ -149,7 +152,8 @@ def run(options: argparse.Namespace) -> int:
     weighed = _weighed(runs[0].scene, options.weighed)
     prepare_folder(options.out)
     compile_first()
-    with Progress("simulations") as progress:
+    workers = open_executor(options.workers, options.scheduler)
+    with workers as executor, Progress("simulations") as progress:
         found = calibrate(
             runs,
             names,
@@ -158,6 +162,7 @@ def run(options: argparse.Namespace) -> int:
             until=options.until,
             seed=options.seed,
             report=partial(progress.at, "calibrate"),
+            executor=executor,
         )
     is_unfinished = any(finding.kind == "unfinished" for finding in found.findings)
     if to_come is not None and not is_unfinished:

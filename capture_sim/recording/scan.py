@@ -86,7 +86,12 @@ def scan(path: Path, ratio: float) -> Iterator[RecordContents | Damage]:
             else:
                 yield from _contents_of_plain(file, path, path, size, limit)
     except OSError as error:
-        raise RecordingError(f"{path}: cannot read: {error.strerror or error}") from None
+        hint = (
+            "; must be a recording (.mcap, .db3, or the folder of a bag)"
+            if not path.exists()
+            else ""
+        )
+        raise RecordingError(f"{path}: cannot read: {error.strerror or error}{hint}") from None
 
 
 def _contents_of_compressed(

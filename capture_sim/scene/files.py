@@ -26,7 +26,7 @@ import yaml
 from capture_sim.base.resources import config_dir
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.paths import alike, did_you_mean
+from capture_sim.scene.paths import alike, did_you_mean, expanded
 from capture_sim.scene.quantities import Checked, Declared, accept, declared, refuse, shown
 
 #: Longest text of a scene, characters: the package's own are 3000 at most.
@@ -205,7 +205,10 @@ def read_scene(path: Path, files: list[Path]) -> dict[str, Any]:
     except OSError as error:
         raise SceneError(f"scene file {path.name}: cannot be read: {error.strerror}") from None
     except ValueError as error:
-        raise SceneError(f"scene file {path.name}: cannot be read: no UTF-8: {error}") from None
+        kind = "an image" if path.suffix in (".png", ".svg", ".jpg") else "no text"
+        raise SceneError(
+            f"scene file {path.name}: is {kind}: must be a scene (.yaml) or a recording (.mcap)"
+        ) from error
     data = parse_scene(text, path.name)
     parent = data.pop("extends", None)
     if parent is None:
@@ -244,6 +247,8 @@ def has_overrides(overrides: Overrides) -> bool:
 def override_items(overrides: Overrides) -> list[tuple[str, Any]]:
     """Return the dotted names of overrides with their values, unchecked.
 
+    A short name, e.g. ``c_rr``, stands for its fields.
+
     A single ``name=value`` text is accepted, too.  SceneError if a text is not of this form, or
     its value is invalid YAML.
     """
@@ -251,7 +256,8 @@ def override_items(overrides: Overrides) -> list[tuple[str, Any]]:
         overrides = [overrides]
     # a row of a pandas table has items(), but is no Mapping
     named = getattr(overrides, "items", None)
-    return list(map(_split_override, overrides) if named is None else named())
+    items = map(_split_override, overrides) if named is None else named()
+    return [(path, value) for name, value in items for path in expanded(name)]
 
 
 def override_texts(items: Iterable[tuple[str, Any]]) -> list[str]:

@@ -31,6 +31,11 @@ LAUNCH = ("string.impact_speed", "string.hanging_mass", "string.drop_height")
 _MAX_ALIKE = 5
 
 
+def expanded(name: str) -> tuple[str, ...]:
+    """Return the paths that a name stands for: those of a short name, else the name itself."""
+    return ALIASES.get(name) or (name,)
+
+
 def value_of(scene: Scene, name: str) -> float:
     """Return the value of a parameter in a scene, at the first of its paths.
 
@@ -46,7 +51,7 @@ def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
     can be fitted: a setting of the run, the detector or the sensors, or a value of the launch
     (impact speed, hanging mass, drop height).
     """
-    paths = ALIASES.get(name) or (name,)
+    paths = expanded(name)
     for path in paths:
         value = get(scene, path)
         is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -60,9 +65,12 @@ def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
 
 
 def get(scene: Scene, path: str) -> Any:
-    """Return the value or the part at a path of a scene; None if it is null or does not exist."""
+    """Return the value or the part at a path of a scene; None if it is null or does not exist.
+
+    Of a short name it is the value at the first of its paths.
+    """
     value: Any = scene
-    for name in path.split("."):
+    for name in expanded(path)[0].split("."):
         # computed properties such as probe.rod_mass cannot be changed
         is_field = dataclasses.is_dataclass(value) and name in declared(type(value))
         value = getattr(value, name) if is_field else None
@@ -123,6 +131,8 @@ def with_values(part: Any, values: Mapping[str, Any]) -> Any:
     """
     fields: dict[str, Any] = {}
     part_values: dict[str, dict[str, Any]] = {}
+    if isinstance(part, Scene):
+        values = {path: x for name, x in values.items() for path in expanded(name)}
     for path, value in values.items():
         name, _, rest = path.partition(".")
         if rest:

@@ -42,8 +42,10 @@ class Axis:
 def declaration_of(scene: Scene, name: str) -> Declared:
     """Return the declaration of a field of the scene or the approach.
 
-    SceneError if there is no such field, or if the field is not a single value.
+    A short name has that of its first field.  SceneError if there is no such field, or if the field
+    is not a single value.
     """
+    name = paths.expanded(name)[0]
     owner, _, field = name.rpartition(".")
     part = Approach if owner == "approach" else type(paths.get(scene, owner) if owner else scene)
     what = declared(part).get(field) if issubclass(part, Checked) else None
@@ -75,6 +77,9 @@ def make_axis(scene: Scene, name: str, given: Any) -> Axis:
         return Axis(name, what.unit, distribution=_checked(distribution, name, text), text=text)
     if text.count(":") == 2 and what.kind in (float, int):
         return _valued(what, name, _span(what, name, text), text)
+    if text.count(":") == 1 and what.kind in (float, int):
+        usage = "must be LOW:HIGH:COUNT, A,B,C or a distribution"
+        raise SceneError(f"{name} = {_brief(text)}: {usage}")
     items = [item.strip() for item in text.split(",")]
     values = items if what.kind is float else [parse(item, name) for item in items]
     return _valued(what, name, values, text)

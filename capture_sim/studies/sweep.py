@@ -242,6 +242,9 @@ def samples_of(
             raise SceneError("vary: must have one axis or more")
         samples = make_samples(axes, runs, sample, seed, edges, correlations)
     names = [axis.name for axis in samples.axes]
+    fields = [path for name in names for path in paths.expanded(name)]
+    if twice := [path for path in fields if fields.count(path) > 1]:
+        raise SceneError(f"{twice[0]}: varies twice: must be named once")
     sensors = [name for name in names if name.startswith("sensors.")]
     if sensors and not is_flown:
         raise SceneError(f"{sensors[0]}: must not vary: verdicts are of the exact motion")
@@ -256,7 +259,7 @@ def samples_of(
 
 
 def _samples_of_table(scene: Scene, table: pandas.DataFrame) -> Samples:
-    inputs = {*paths.field_names(scene), *APPROACH}
+    inputs = {*paths.field_names(scene), *APPROACH, *paths.ALIASES}
     columns, ignored = [], []
     for name in map(str, table.columns):
         if name in inputs:

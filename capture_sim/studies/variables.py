@@ -111,17 +111,22 @@ def make_variables(
 ) -> tuple[FreeVariable, ...]:
     """Return the free values with their ranges or catalogues.
 
-    ``free`` are texts ``NAME``, ``NAME=LOW:HIGH`` or ``NAME=[A,B,..]``.  A default range surrounds
-    the value of a buffer that absorbs the energy of the approach within the limits of its strokes.
+    ``free`` are texts ``NAME``, ``NAME=LOW:HIGH``, ``NAME=[A,B,..]`` or ``NAME=VALUE``.  A default
+    range surrounds the value of a buffer that absorbs the energy of the approach within the limits
+    of its strokes.
     SceneError if a name or a range is invalid.
     """
     usual = _usual_ranges(scene, limits)
     variables: list[FreeVariable] = []
     for text in free:
         name, _, given = (part.strip() for part in text.partition("="))
+        if len(fields := paths.expanded(name)) == 1:
+            name = fields[0]
         what = _declaration(scene, name)
         if name in (variable.name for variable in variables):
             raise SceneError(f"free {name}: must be given once")
+        if given and ":" not in given and not given.startswith("["):
+            given = f"[{given}]"  # held at a value
         if given.startswith("["):
             variables.append(_of_catalogue(name, given, what))
             continue
@@ -168,7 +173,7 @@ def _of_catalogue(name: str, given: str, what: Declared) -> FreeVariable:
         choices = sorted({in_si(item, what.unit) for item in items})
     except ValueError:
         raise SceneError(
-            f"free {name} = {given}: must be [A,B,..] with one value or more in {what.unit or '1'}"
+            f"free {name} = {given}: must be LOW:HIGH, [A,B,..] or a value in {what.unit or '1'}"
         ) from None
     for choice in choices:
         accept(choice, what, f"free {name}")
@@ -183,7 +188,7 @@ def _ends(name: str, given: str, unit: str) -> tuple[float, float]:
         return in_si(low, unit), in_si(high, unit)
     except ValueError:
         raise SceneError(
-            f"free {name} = {given}: must be LOW:HIGH or [A,B,..] in {unit or '1'}"
+            f"free {name} = {given}: must be LOW:HIGH, [A,B,..] or a value in {unit or '1'}"
         ) from None
 
 

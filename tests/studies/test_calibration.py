@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -39,6 +40,7 @@ from capture_sim.studies.calibration.trial import (
     trial_of,
     view,
 )
+from capture_sim.studies.executors import open_executor
 
 TRUE = {"contact.restitution": 0.6, "friction.mu": 0.27, "buffer.k_A": 560.0}
 NAMES = ("e", "mu", "buffer.k_A")
@@ -236,6 +238,23 @@ def test_a_value_at_the_end_of_its_range_is_refused():
     )
     texts = [finding.text for finding in found.findings if finding.kind == "bound"]
     assert texts == ["buffer.friction = 0 N is at the end of its range"]
+
+
+def same_fit(a, b):
+    return [repr(x) for x in (a.values, a.errors, a.reduced_chi2, a.simulations, a.scores)] == [
+        repr(x) for x in (b.values, b.errors, b.reduced_chi2, b.simulations, b.scores)
+    ]
+
+
+def test_a_fit_is_the_same_in_threads_and_by_processes():
+    """Two threads shared one memory, and a simulation that one spoiled counted as impossible."""
+    trials = two_trials()
+    alone = calibrate(trials, NAMES, restarts=1)
+    with ThreadPoolExecutor(2) as threads:
+        fits = [threads.submit(calibrate, trials, NAMES, restarts=1) for _ in range(2)]
+        assert all(same_fit(alone, fit.result()) for fit in fits)
+    with open_executor(2) as executor:
+        assert same_fit(alone, calibrate(trials, NAMES, restarts=1, executor=executor))
 
 
 def test_an_interrupted_fit_is_the_state_so_far_and_says_so():

@@ -444,7 +444,7 @@ BAD = [
     ({"mass": "1"}, "did you mean chaser.mass, target.mass or cylinder.mass"),
     ({"rail": "1"}, "rail: no number"),
     ({"approach.angel": "1"}, r"did you mean approach.angle\?"),
-    ({"buffer.c_A": "5:30"}, "buffer.c_A = '5:30': must be a number in N s/m, >= 0"),
+    ({"buffer.c_A": "5:30"}, "buffer.c_A = 5:30: must be LOW:HIGH:COUNT, A,B,C or"),
     ({"buffer.c_A": "0,5:30:3"}, "must be LOW:HIGH:COUNT in N s/m; decimals need a point"),
     ({"buffer.c_A": "5:30:0"}, "COUNT must be 1 to"),
     ({"buffer.c_A": "-5:30:3"}, "buffer.c_A = -5.0 N s/m: must be >= 0"),
@@ -883,3 +883,17 @@ def test_indices_leave_out_base_samples_with_a_failed_run():
     assert (whole.used, found.used) == (64, 63)
     assert len(complete_samples(spoilt, inputs)) == 63 * 5
     assert found.total == pytest.approx(whole.total, abs=0.1)
+
+
+def test_short_names_are_those_of_every_command():
+    """Before, only the fits knew them."""
+    by_path = {"supports.chaser.c_rr": 2e-3, "supports.target.c_rr": 2e-3, "buffer.c_A": 9.0}
+    expected = capture_sim.load_scene("tilt_0", by_path)
+    named = capture_sim.load_scene("tilt_0", ["c_rr=2e-3", "c_A=9"])
+    assert (named.supports, named.buffer) == (expected.supports, expected.buffer)
+    table = capture_sim.sweep("paper_designed", {"e": [0.3, 0.6], "mu": [0.2]})
+    paths = {"contact.restitution": [0.3, 0.6], "friction.mu": [0.2]}
+    other = capture_sim.sweep("paper_designed", paths)
+    assert table["max_normal_force"].tolist() == other["max_normal_force"].tolist()
+    with pytest.raises(SceneError, match=r"contact\.restitution: varies twice"):
+        capture_sim.sweep("paper_designed", {"e": [0.3], "contact.restitution": [0.3]})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +18,7 @@ from capture_sim.errors import SceneError, SimulationError
 from capture_sim.run.run import Run, checked
 from capture_sim.run.touches import Touches
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.paths import ALIASES, LAUNCH, NO_PHYSICS, field_names, get, with_values
+from capture_sim.scene.paths import LAUNCH, NO_PHYSICS, expanded, field_names, get, with_values
 from capture_sim.studies.calibration.candidates import NAMED, Score, scores
 from capture_sim.studies.calibration.checks import (
     AGREEING,
@@ -71,6 +72,7 @@ from capture_sim.studies.calibration.trial import (
     resolved,
     trial_of,
 )
+from capture_sim.studies.executors import InProcess
 
 #: Names of a trial's start poses.
 STARTS = tuple(f"initial.{v}.{name}" for v in ("chaser", "target") for name in ("x", "y", "theta"))
@@ -237,6 +239,7 @@ def calibrate(
     restarts: int = RESTARTS,
     seed: int = 0,
     report: Callable[[int, int], None] | None = None,
+    executor: Executor | None = None,
 ) -> Calibration:
     """Fit the parameters of a bench to all of its trials, and test the fit.
 
@@ -273,6 +276,9 @@ def calibrate(
         Seed of the restarts and of the prediction.
     report
         Function called with the number of simulations made and the estimated total.
+    executor
+        Executor as in ``concurrent.futures`` for the simulations; None for this process.  The
+        result is the same for every executor.
 
     Returns
     -------
@@ -334,6 +340,7 @@ def calibrate(
         seed=seed,
         report=report,
         held=held_parameters(scenes, uncertainties(scenes[0], fitted, uncertain)),
+        executor=executor,
     )
     if predict is not None:
         found = dataclasses.replace(found, prediction=predicted(found, predict, placed, seed=seed))
@@ -461,18 +468,20 @@ def fit_trials(
     is_noise_known: bool = False,
     has_scores: bool = True,
     held: Sequence[Parameter] = (),
+    executor: Executor | None = None,
 ) -> Calibration:
     """Fit parameters to trials and test the fit; see :func:`calibrate`.
 
     ``is_noise_known``: True to keep the noise of the trials, False to estimate it again from the
     residuals.  ``has_scores``: True to search also for parameters that the model lacks.
-    ``held``: weighed parameters that join the fit at its end.
+    ``held``: weighed parameters that join the fit at its end.  ``executor`` as in
+    :func:`calibrate`.
     """
     compile_kernels()
     counted = _Progress(
         len(trials) * (2 * len(parameters) + 7) * _LINEAR_FITS * (4 + restarts) // 8, report
     )
-    problem = Problem(trials, parameters, tick=counted)
+    problem = Problem(trials, parameters, tick=counted, executor=executor or InProcess())
     if problem.rows < problem.dimension:
         raise SceneError(
             f"{problem.rows} measured values for {problem.dimension} parameters (with seven of "
@@ -546,7 +555,7 @@ class _Fitting:
             return
         k, n = narrow.shared, len(held)
         covariance = step_covariance(at, narrow)
-        wide = Problem(narrow.trials, [*narrow.parameters, *held], tick=narrow._count)
+        wide = narrow.replaced(narrow.trials, [*narrow.parameters, *held])
         prior = wide.weighed()
         place = np.insert(at.place, k, prior.centre[k : k + n])
         wider = np.zeros((wide.dimension, wide.dimension))
@@ -688,7 +697,7 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
 
 def _fit_with(name: str, parameters: Sequence[Parameter]) -> list[str]:
     """Return names of a fit with one more; a short name that has its path gives way to paths."""
-    paths = ALIASES.get(name) or (name,)
+    paths = expanded(name)
     found: list[str] = []
     for parameter in parameters:
         if set(parameter.paths) & set(paths):
@@ -811,8 +820,7 @@ def _with(
         return None
     start = float(np.clip(start, low, high))
     # an existing parameter that sets the added field too, e.g. c_rr of both vehicles, stays
-    wider = Problem(problem.trials, [*problem.parameters, begun_at(added, score.estimate)])
-    wider.tick = problem._count
+    wider = problem.replaced(problem.trials, [*problem.parameters, begun_at(added, score.estimate)])
     place = np.insert(at.place, problem.shared, start)
     prior = wider.weighed()
     d = wider.dimension

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.scene.parts import Scene, Stops
-from capture_sim.scene.paths import ALIASES, get, range_of, with_values
-from capture_sim.studies.calibration.joint import Linear, Problem
+from capture_sim.scene.paths import expanded, get, range_of, with_values
+from capture_sim.studies.calibration.joint import Asked, Linear, Problem
 from capture_sim.studies.calibration.parameters import (
     COMPUTED,
     SENSOR_ERRORS,
@@ -60,7 +60,7 @@ class _Field:
     @property
     def paths(self) -> tuple[str, ...]:
         """Paths of the field in a scene; an alias such as c_rr sets several fields."""
-        return ALIASES.get(self.name) or (self.name,)
+        return expanded(self.name)
 
 
 def _share(path: str, share: float) -> Callable[[Scene], float]:
@@ -114,9 +114,7 @@ def _all(at: Linear, problem: Problem) -> Iterator[Score]:
         ]
         yield _score(at, problem, name, error.words, columns, error.value, error.size, error.unit)
     others = (
-        _Field(
-            name, "another value than the scene's", _share((ALIASES.get(name) or (name,))[0], 0.01)
-        )
+        _Field(name, "another value than the scene's", _share(expanded(name)[0], 0.01))
         for name in default_names(scene)
         if name not in fitted
     )
@@ -193,12 +191,12 @@ def _columns(at: Linear, problem: Problem, more: dict[str, float]) -> list[np.nd
 
     None if a trial cannot be simulated with them.
     """
+    asked = [Asked(number, at.place, more) for number in range(len(at.shown))]
     columns = []
-    for number, one in enumerate(at.shown):
-        there = problem.show(number, at.place, more)
+    for one, there in zip(at.shown, problem.residuals_at(asked), strict=True):
         if there is None:
             return None
-        columns.append(there.residuals - one.residuals)
+        columns.append(there - one.residuals)
     return columns
 
 

@@ -418,4 +418,4 @@ def sigma_of(problem: Problem, at: Linear) -> list[dict[str, np.ndarray]]:
 def renoised(problem: Problem, noises: Sequence[dict[str, np.ndarray]]) -> Problem:
     """Return the problem with other standard deviations of the noise of each trial."""
     trials = [trial.with_noise(noise) for trial, noise in zip(problem.trials, noises, strict=True)]
-    return Problem(trials, problem.parameters, tick=problem._count)
+    return problem.replaced(trials)

@@ -14,7 +14,7 @@ import numpy as np
 from capture_sim.errors import SceneError
 from capture_sim.run.origin import scene_origin
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.paths import ALIASES
+from capture_sim.scene.paths import expanded
 from capture_sim.studies.calibration.calibrate import STARTS, Calibration
 from capture_sim.studies.calibration.parameters import SENSOR_ERRORS, Weighed
 from capture_sim.studies.calibration.prediction import Prediction
@@ -156,7 +156,7 @@ class Calibrated:
 
     def paths(self, k: int) -> tuple[str, ...]:
         """Return the paths in a scene of the parameter with index k."""
-        return ALIASES.get(self.names[k]) or (self.names[k],)
+        return expanded(self.names[k])
 
     @property
     def fields(self) -> dict[str, float]:

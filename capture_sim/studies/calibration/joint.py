@@ -10,8 +10,10 @@ stiffnesses would then be a tenth of the correct one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +31,7 @@ from capture_sim.studies.calibration.trial import (
     simulate,
     view,
 )
+from capture_sim.studies.executors import InProcess, answers
 
 #: Longest step of a difference, in coordinates, and step while no covariance is known.
 _LONGEST, _FIRST = 0.03, 0.01
@@ -119,6 +122,8 @@ class Problem:
     simulations: int = 0
     #: Called after each simulation.
     tick: Callable[[], None] = field(default=lambda: None)
+    #: Runs the simulations of a linear model and of candidates side by side.
+    executor: Executor = field(default_factory=InProcess)
 
     @property
     def shared(self) -> int:
@@ -167,7 +172,14 @@ class Problem:
     def until(self, times: Sequence[float]) -> Problem:
         """Return the problem with each trial cut off after a time, s."""
         cut = [trial.until(t) for trial, t in zip(self.trials, times, strict=True)]
-        return Problem(cut, self.parameters, tick=self._count)
+        return self.replaced(cut)
+
+    def replaced(
+        self, trials: Sequence[FittedTrial], parameters: Sequence[Parameter] | None = None
+    ) -> Problem:
+        """Return a problem of other trials or parameters, whose simulations this one counts."""
+        parameters = self.parameters if parameters is None else parameters
+        return Problem(trials, parameters, tick=self._count, executor=self.executor)
 
     def _count(self) -> None:
         self.simulations += 1
@@ -195,13 +207,29 @@ class Problem:
         ``more`` has values of further fields of the scene by path, SI.
         """
         self._count()
-        trial, own = self.trials[number], place[self.own(number)]
+        return _shown(self._task(number, place, more))
+
+    def residuals_at(self, asked: Sequence[Asked]) -> list[np.ndarray | None]:
+        """Return the residuals (n,) of trials at places, side by side where there are workers.
+
+        They are None where a trial cannot be simulated.
+        """
+        found: list[np.ndarray | None] = []
+        tasks = [self._task(*each) for each in asked]
+        # a trial is sent once with all of its tasks in a group
+        size = max(len(tasks) // (4 * getattr(self.executor, "_max_workers", len(tasks))), 1)
+        groups = [tasks[k : k + size] for k in range(0, len(tasks), size)]
+        for group in answers(self.executor, _residuals_of, groups):
+            for each in group:
+                self._count()
+                found.append(each)
+        return found
+
+    def _task(self, number: int, place: np.ndarray, more: Mapping[str, float] | None) -> _Task:
         fields, sensors = self.values(place)
-        motion = simulate(trial, {**fields, **(more or {})}, own, sensors)
-        if motion is None:
-            return None
-        seen = view(trial, motion, own, sensors)
-        return Shown(motion, seen, residuals(trial, motion, seen, float(own[-1] * OWN_SIZE[-1])))
+        return _Task(
+            self.trials[number], {**fields, **(more or {})}, place[self.own(number)], sensors
+        )
 
     def chi2(self, place: np.ndarray, prior: Prior) -> tuple[float, list[Shown]]:
         """Return chi2 of data and prior at a place, and the simulated trials.
@@ -239,11 +267,14 @@ class Problem:
         k = self.shared
         hessian, gradient = np.diag(prior.weight), prior.weight * (place - prior.centre)
         axes = self._axes(covariance)
+        changes = iter(self._differences(place, shown, covariance, axes))
         jacobians = []
         for number, one in enumerate(shown):
             J = np.zeros((one.residuals.size, k + len(OWN)))
-            J[:, :k] = self._shared_columns(number, place, one, axes)
-            J[:, k:] = self._own_columns(number, place, one, covariance)
+            J[:, :k] = self._shared_columns(number, one, axes, changes)
+            for i, length in enumerate(self._own_lengths(number, covariance)):
+                J[:, k + i] = next(changes) / length
+            J[:, k + RELATIVE :] = exact_columns(self.trials[number], one.view)
             if not self.trials[number].is_release_fitted:
                 J[:, -1] = 0.0
             jacobians.append(J)
@@ -273,18 +304,60 @@ class Problem:
         longest = _LONGEST / np.abs(vectors).max(axis=0)
         return np.asarray(vectors * np.clip(lengths, _SHORTEST, longest))
 
+    def _own_lengths(self, number: int, covariance: np.ndarray | None) -> list[float]:
+        """Return the difference steps for the relative start of a trial."""
+        begin, lengths = self.own(number).start, []
+        for i in range(begin, begin + RELATIVE):
+            length = _FIRST_OWN
+            if covariance is not None and covariance[i, i] > 0.0:
+                length = min(max(math.sqrt(covariance[i, i]), _SHORTEST_OWN), _LONGEST_OWN)
+            lengths.append(length)
+        return lengths
+
+    def _differences(
+        self,
+        place: np.ndarray,
+        shown: Sequence[Shown],
+        covariance: np.ndarray | None,
+        axes: np.ndarray,
+    ) -> list[np.ndarray]:
+        """Return the changes (n,) of the residuals for the steps of each trial, by central
+        differences: along the axes of the shared fields, then by the trial's relative start.
+
+        If one side is out of range or cannot be simulated, the difference is one-sided.  If both
+        are, it is zero.
+        """
+        low, high = self.limits
+        bench = self._bench_parameters()
+        steps: list[tuple[int, np.ndarray]] = []
+        for number in range(len(shown)):
+            for axis in axes.T:
+                step = np.zeros(place.size)
+                step[bench] = axis
+                steps.append((number, step))
+            begin = self.own(number).start
+            for i, length in enumerate(self._own_lengths(number, covariance)):
+                step = np.zeros(place.size)
+                step[begin + i] = length
+                steps.append((number, step))
+        sides = [(n, place + sign * step) for n, step in steps for sign in (1.0, -1.0)]
+        inside = [bool(np.all(at >= low) and np.all(at <= high)) for _, at in sides]
+        asked = [Asked(*side) for side, is_in in zip(sides, inside, strict=True) if is_in]
+        known = iter(self.residuals_at(asked))
+        found = [next(known) if is_in else None for is_in in inside]
+        return [
+            _change(shown[number].residuals, ahead, back)
+            for (number, _), ahead, back in zip(steps, found[::2], found[1::2], strict=True)
+        ]
+
     def _shared_columns(
-        self, number: int, place: np.ndarray, one: Shown, axes: np.ndarray
+        self, number: int, one: Shown, axes: np.ndarray, changes: Iterator[np.ndarray]
     ) -> np.ndarray:
         """Return the derivatives (n, k) of a trial's residuals by the shared coordinates."""
         bench, k = self._bench_parameters(), self.shared
         columns = np.zeros((one.residuals.size, k))
         if bench:
-            along = []
-            for axis in axes.T:
-                step = np.zeros(place.size)
-                step[bench] = axis
-                along.append(self.difference(number, place, one, step))
+            along = [next(changes) for _ in bench]
             columns[:, bench] = np.linalg.solve(axes.T, np.stack(along, axis=1).T).T
         for i, parameter in enumerate(self.parameters):
             if not parameter.paths:
@@ -292,42 +365,43 @@ class Problem:
                 columns[:, i] = column * parameter.size
         return columns
 
-    def _own_columns(
-        self, number: int, place: np.ndarray, one: Shown, covariance: np.ndarray | None
-    ) -> np.ndarray:
-        """Return the derivatives (n, 7) of a trial's residuals by the trial's own numbers."""
-        begin = self.own(number).start
-        columns = np.zeros((one.residuals.size, len(OWN)))
-        for i in range(RELATIVE):
-            length = _FIRST_OWN
-            if covariance is not None and covariance[begin + i, begin + i] > 0.0:
-                spread = math.sqrt(covariance[begin + i, begin + i])
-                length = min(max(spread, _SHORTEST_OWN), _LONGEST_OWN)
-            step = np.zeros(place.size)
-            step[begin + i] = length
-            columns[:, i] = self.difference(number, place, one, step) / length
-        columns[:, RELATIVE:] = exact_columns(self.trials[number], one.view)
-        return columns
 
-    def difference(
-        self, number: int, place: np.ndarray, one: Shown, step: np.ndarray
-    ) -> np.ndarray:
-        """Return the change (n,) of a trial's residuals for a step (d,), by a central difference.
+class Asked(NamedTuple):
+    """A simulation that is asked for; see :meth:`Problem.show`."""
 
-        If one side is out of range or cannot be simulated, the difference is one-sided.  If both
-        are, it is zero.
-        """
-        low, high = self.limits
-        sides = []
-        for sign in (1.0, -1.0):
-            there = place + sign * step
-            inside = np.all(there >= low) and np.all(there <= high)
-            sides.append(self.show(number, there) if inside else None)
-        ahead, back = (None if side is None else side.residuals for side in sides)
-        if ahead is not None and back is not None:
-            return 0.5 * (ahead - back)
-        if ahead is not None:
-            return ahead - one.residuals
-        if back is not None:
-            return one.residuals - back
-        return np.zeros(one.residuals.size)
+    number: int
+    place: np.ndarray
+    more: Mapping[str, float] | None = None
+
+
+class _Task(NamedTuple):
+    """A simulation as a worker gets it."""
+
+    trial: FittedTrial
+    fields: dict[str, float]
+    own: np.ndarray
+    sensors: dict[str, float]
+
+
+def _shown(task: _Task) -> Shown | None:
+    motion = simulate(*task)
+    if motion is None:
+        return None
+    trial, _, own, sensors = task
+    seen = view(trial, motion, own, sensors)
+    return Shown(motion, seen, residuals(trial, motion, seen, float(own[-1] * OWN_SIZE[-1])))
+
+
+def _residuals_of(tasks: Sequence[_Task]) -> list[np.ndarray | None]:
+    shown = [_shown(task) for task in tasks]
+    return [None if one is None else one.residuals for one in shown]
+
+
+def _change(middle: np.ndarray, ahead: np.ndarray | None, back: np.ndarray | None) -> np.ndarray:
+    if ahead is not None and back is not None:
+        return np.asarray(0.5 * (ahead - back))
+    if ahead is not None:
+        return np.asarray(ahead - middle)
+    if back is not None:
+        return np.asarray(middle - back)
+    return np.zeros(middle.size)

@@ -17,8 +17,8 @@ import numpy as np
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import (
-    ALIASES,
     LAUNCH,
+    expanded,
     get,
     paths_of,
     range_of,
@@ -186,7 +186,7 @@ def default_names(scene: Scene) -> tuple[str, ...]:
     """Return the names of ``DEFAULT`` that are positive numbers in a scene."""
 
     def has(name: str) -> bool:
-        value = get(scene, (ALIASES.get(name) or (name,))[0])
+        value = get(scene, expanded(name)[0])
         return isinstance(value, (int, float)) and value > 0.0
 
     return tuple(filter(has, DEFAULT))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -272,7 +273,14 @@ def _contact(channels: list[MeasuredChannel]) -> float:
     return first
 
 
-_memory = Memory()
+class _OfThread(threading.local):
+    """The memory of each thread: two threads may fit at the same time."""
+
+    def __init__(self) -> None:
+        self.memory = Memory()
+
+
+_of_thread = _OfThread()
 
 
 def simulate(
@@ -311,7 +319,7 @@ def simulate(
         scene = with_values(scene, {**values, **place})
         if grid[-1] > scene.run.t_end:
             scene = with_values(scene, {"run.t_end": float(grid[-1])})
-        bench = Bench(scene, memory=_memory)
+        bench = Bench(scene, memory=_of_thread.memory)
         samples = bench.advance(grid)
     except (SimulationError, SceneError):
         return None
