@@ -199,16 +199,6 @@ class Problem:
                 fields[path] = value
         return fields, sensors
 
-    def show(
-        self, number: int, place: np.ndarray, more: Mapping[str, float] | None = None
-    ) -> Shown | None:
-        """Simulate a trial at a place; None if it cannot be simulated.
-
-        ``more`` has values of further fields of the scene by path, SI.
-        """
-        self._count()
-        return _shown(self._task(number, place, more))
-
     def residuals_at(self, asked: Sequence[Asked]) -> list[np.ndarray | None]:
         """Return the residuals (n,) of trials at places, side by side where there are workers.
 
@@ -241,8 +231,9 @@ class Problem:
         if np.any(place < low) or np.any(place > high):
             return math.inf, []
         shown = []
-        for number in range(len(self.trials)):
-            one = self.show(number, place)
+        tasks = [self._task(number, place, None) for number in range(len(self.trials))]
+        for one in answers(self.executor, _shown, tasks):
+            self._count()
             if one is None:
                 return math.inf, []
             shown.append(one)
@@ -367,7 +358,7 @@ class Problem:
 
 
 class Asked(NamedTuple):
-    """A simulation that is asked for; see :meth:`Problem.show`."""
+    """A simulation that is asked for: of a trial, at a place, with values of further fields."""
 
     number: int
     place: np.ndarray
