@@ -60,8 +60,8 @@ latch: null
 
 An invalid value is reported in one line: `buffer.k_A = -5 N/m: must be >= 0`.
 
-Four short names are those of every command and call: `c_rr` (rolling resistance of both vehicles), `e`
-(`contact.restitution`), `mu` (`friction.mu`) and `c_A` (`buffer.c_A`).
+Four short names are those of every command and call: `c_rr` (rolling resistance of both
+vehicles), `e` (`contact.restitution`), `mu` (`friction.mu`) and `c_A` (`buffer.c_A`).
 
 Scenes whose name begins with `_` are made for others to extend, and `capture-sim scenes` does not
 list them: `_bench`, `_free` and `_table_2` of the paper, and `_loop`, which

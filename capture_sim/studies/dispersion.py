@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 #: Loads that plots and printed tables show first.
 MAIN_LOADS = ("max_normal_force", "max_axial_stroke_in", "max_torsion", "nearest_distance")
 #: Label of a capture whose tip is outside the capture zone again.
-CAPTURED_LEFT = f"{CAPTURED}, left again"
+CAPTURED_LEFT = f"{CAPTURED}, left"
 #: Shares of the quantiles that are shown, and the confidence level of every interval.
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 _CONFIDENCE = 0.95

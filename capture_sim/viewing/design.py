@@ -17,6 +17,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 from capture_sim.run.simulation import simulate
 from capture_sim.studies.candidates import Candidate, costs_of
 from capture_sim.studies.design import Design
+from capture_sim.studies.dispersion import CAPTURED_LEFT
 from capture_sim.studies.limits import CAPTURE_RANGE, Measure
 from capture_sim.studies.outcome import CAPTURED
 from capture_sim.viewing import style
@@ -169,8 +170,8 @@ def _draw_pair(
     held = [x for x in history if x.verdict == CAPTURED and (stays or not x.left_again)]
     parts = {
         "no capture": (style.LIGHT, [x for x in history if x.verdict != CAPTURED]),
-        "captured, left again": (
-            style.SKY,
+        CAPTURED_LEFT: (
+            style.VERDICTS[CAPTURED_LEFT].colour,
             [x for x in history if x.verdict == CAPTURED and x.left_again and not stays],
         ),
         "a limit exceeded": (style.ORANGE, [x for x in held if not x.feasible]),

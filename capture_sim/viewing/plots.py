@@ -251,8 +251,12 @@ def _mark_verdict(axes: Axes, run: Run, window: Window) -> None:
         (e.t, "latched", style.GREY, 0.95) for e in run.events if e.kind is EventKind.LATCHED
     ]
     if decided is not None:
-        look = style.VERDICTS.get(run.statuses[-1].state.label)
-        moments.append((decided, source.verdict(run), look.colour if look else style.BLACK, 0.72))
+        first = next(status for status in run.statuses if status.state.is_verdict)
+        look = style.VERDICTS[first.state.label]
+        moments.append((decided, first.state.label, look.colour, 0.72))
+    left = next((status.t for status in run.statuses if status.left_again), None)
+    if left is not None and run.statuses[-1].left_again:
+        moments.append((left, "left", style.VERDICTS[run.statuses[-1].label].colour, 0.5))
     start, end = window
     for t, text, colour, height in moments:
         if not start <= t <= end:

@@ -56,7 +56,7 @@ def _draw_dampers(axes: Axes, design: FirstContactDesign) -> None:
     limit = design.target.peak_force
     # captures that exceed the limit of the force: the distance would not show why there is none
     by_force = limit is not None and not design.met and any(t.verdict == "captured" for t in trials)
-    for verdict, (colour, marker) in style.VERDICTS.items():
+    for verdict, (colour, marker, _) in style.VERDICTS.items():
         matching_trials = [trial for trial in trials if trial.verdict == verdict]
         if matching_trials:
             axes.plot(

@@ -28,6 +28,7 @@ VIOLET = "#AA00FF"
 OLIVE = "#857000"
 MAGENTA = "#FF44EE"
 LAVENDER = "#8888FF"
+INDIGO = "#8811EE"
 PLUM = "#773399"
 WINE = "#882255"
 DARK = "#404040"
@@ -57,10 +58,13 @@ class Look(NamedTuple):
 
     colour: str
     marker: str
+    hatch: str = ""  # of areas, where success and failure must differ without colours, too
 
 
+#: Look of each outcome: the verdicts, and captures whose tip has left the capture zone again.
 VERDICTS = {
     "captured": Look(GREEN, "o"),
+    "captured, left": Look(INDIGO, "*", "///"),
     "rebound": Look(ORANGE, "D"),
     "stuck": Look(WINE, "s"),
     "missed": Look("#6FA5C4", "X"),

@@ -29,8 +29,8 @@ from capture_sim.studies.dispersion import (
     CAPTURED_LEFT,
     MAIN_LOADS,
     Indices,
-    capture_probability,
     computed_rows,
+    hold_probability,
     limit_probability,
     outcome_labels,
     plain_rows,
@@ -45,14 +45,8 @@ from capture_sim.viewing.canvas import columns_for, hide_unused, subplots
 if TYPE_CHECKING:
     import pandas
 
-_COLOURS = {verdict: look.colour for verdict, look in style.VERDICTS.items()}
 #: Colours of outcomes: the verdicts, and captures whose tip left the capture zone again.
-_OUTCOMES = {
-    name: colour
-    for verdict, own in _COLOURS.items()
-    for name, colour in ((verdict, own), (CAPTURED_LEFT, style.LIME))
-    if name != CAPTURED_LEFT or verdict == CAPTURED
-}
+_OUTCOMES = {outcome: look.colour for outcome, look in style.VERDICTS.items()}
 _UNCOMPUTED = style.LIGHT
 #: Most panels of a map.
 _MAX_PANELS = 9
@@ -166,11 +160,10 @@ def draw_curve(table: pandas.DataFrame, axis: Axis, title: str, limits: Sequence
                 ordered[axis.name] * x.factor, ordered[name] * y.factor, color=style.GREY, lw=1.0
             )
             for outcome, rows in ordered.groupby("outcome"):
-                verdict = CAPTURED if outcome == CAPTURED_LEFT else str(outcome)
                 panel.plot(
                     rows[axis.name] * x.factor,
                     rows[name] * y.factor,
-                    style.VERDICTS[verdict].marker,
+                    style.VERDICTS[str(outcome)].marker,
                     color=_OUTCOMES[str(outcome)],
                     label=outcome,
                 )
@@ -202,13 +195,13 @@ def _mark_limits(draw_line: Callable[..., Any], load: str, limits: Sequence[Limi
 
 
 def _draw_probability(panel: Axes, table: pandas.DataFrame, axis: Axis, factor: float) -> None:
-    groups = [(value, capture_probability(rows)) for value, rows in table.groupby(axis.name)]
+    groups = [(value, hold_probability(rows)) for value, rows in table.groupby(axis.name)]
     at = np.array([value for value, _ in groups]) * factor
     low, estimate, high = np.array([[p.low, p.estimate, p.high] for _, p in groups]).T
     panel.fill_between(at, low, high, color=style.GREEN, alpha=0.25, lw=0)
     panel.plot(at, estimate, "o-", color=style.GREEN)
     panel.set_ylim(-0.02, 1.02)
-    panel.set_ylabel("probability of capture\n(95 % interval)")
+    panel.set_ylabel("probability of a capture\nthat lasts (95 % interval)")
 
 
 def draw_map(
@@ -256,13 +249,14 @@ def draw_map(
             values if isinstance(values, tuple) else (values,),
             strict=False,
         )
-        captured = float((page["verdict"] == CAPTURED).mean())
-        left = float((page["outcome"] == CAPTURED_LEFT).mean())
+        captured, left = (
+            float((page["outcome"] == outcome).mean()) for outcome in (CAPTURED, CAPTURED_LEFT)
+        )
         share = f"{captured:.1%} captured"
         found = (ranges or {}).get(values if isinstance(values, tuple) else ())
         if found is not None:
             share = f"capture range {found.share * 100.0:.1f} +- {found.error * 100.0:.1f} %"
-        share += f", {left:.1%} left again" if left else ""
+        share += f"; besides, {left:.1%} captured and left again" if left else ""
         where = ", ".join(
             f"{axis.name} = {value * _input(axis).factor:.4g} {_input(axis).unit}"
             for axis, value in shown
@@ -272,8 +266,8 @@ def draw_map(
         panel.set_axis_off()
     given = set(table["outcome"])
     patches: list[Artist] = [
-        Patch(color=colour, label=outcome)
-        for outcome, colour in _OUTCOMES.items()
+        Patch(facecolor=look.colour, label=outcome, hatch=look.hatch, edgecolor="white")
+        for outcome, look in style.VERDICTS.items()
         if outcome in given
     ]
     if FAILED in given:
@@ -344,9 +338,9 @@ def draw_loads(table: pandas.DataFrame, title: str, limits: Sequence[Limit]) -> 
 
     An outcome is a verdict, or a capture whose tip left the capture zone again.  Lines mark the
     95 % and 99 % quantiles of a load over all computed runs, and its limits.  The title gives the
-    number of captures and, with ``limits``, the number of runs that meet all of them.  Additional
-    draws near the edges of the distributions are left out.  ``table`` must have the column
-    ``outcome``.
+    number of captures that last and, with ``limits``, the number of runs that meet all of them.
+    Additional draws near the edges of the distributions are left out.  ``table`` must have the
+    column ``outcome``.
     """
     figure, panels = subplots(13.0, 8.5, 2, 2, font=12.0)
     plain = plain_rows(table)
@@ -363,6 +357,9 @@ def draw_loads(table: pandas.DataFrame, title: str, limits: Sequence[Limit]) -> 
             bins=min(40, max(8, round(math.sqrt(len(computed))))),
             stacked=True,
             color=[_OUTCOMES[outcome] for outcome in parts],
+            hatch=[style.VERDICTS[outcome].hatch for outcome in parts],
+            edgecolor="white",
+            linewidth=0.0,
             label=list(parts),
         )
         for share, line in ((0.95, "--"), (0.99, ":")):
@@ -377,14 +374,15 @@ def draw_loads(table: pandas.DataFrame, title: str, limits: Sequence[Limit]) -> 
         panel.set_ylabel("runs")
         panel.yaxis.set_major_locator(MaxNLocator(integer=True))
     panels[0, 0].legend(fontsize=11)
-    p = capture_probability(table)
+    p = hold_probability(table)
     interval = f"95 % interval {p.low:.1%} to {p.high:.1%}"
     note = f", {p.failed} could not be computed" if p.failed else ""
     if limits:
         kept = limit_probability(table, limits)
         note += f"; all limits met in {kept.met}"
     figure.suptitle(
-        f"{title}: captured {p.met} of {p.computed} runs ({interval}){note}", fontsize=14
+        f"{title}: captured and not left again {p.met} of {p.computed} runs ({interval}){note}",
+        fontsize=14,
     )
     return figure
 
