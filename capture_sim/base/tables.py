@@ -55,14 +55,14 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int
     cells = [list(row) for row in rows]
     if not console.is_terminal:
         console.width = _UNLIMITED
-    for columns in _blocks(head, cells, console.width, left):
+    for columns in _blocks(head, cells, console.width, left, _GAP):
         shown = [[row[k] for k in columns if k < len(row)] for row in cells]
         names = [head[k] for k in columns]
         console.print(make_table(names, shown, left=left, gap=_GAP))
 
 
 def _blocks(
-    head: Sequence[str], rows: Sequence[Sequence[str]], width: int, left: int
+    head: Sequence[str], rows: Sequence[Sequence[str]], width: int, left: int, gap: int
 ) -> list[list[int]]:
     """Return, for each table to print, the indices of the columns that fit into the width.
 
@@ -71,7 +71,7 @@ def _blocks(
     widths = []
     for k, name in enumerate(head):
         lines = [*name.split("\n"), *(row[k] for row in rows if k < len(row))]
-        widths.append(max(map(cell_len, lines)) + _GAP - 1)
+        widths.append(max(map(cell_len, lines)) + gap - 1)
     first = list(range(min(left, len(head))))
     blocks = [first[:]]
     for k in range(len(first), len(head)):
@@ -83,10 +83,22 @@ def _blocks(
 
 
 def table_text(
-    head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1, gap: int = 2
+    head: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    left: int = 1,
+    gap: int = 2,
+    width: int | None = None,
 ) -> str:
-    """Return a table as plain text; for the arguments see :func:`make_table`."""
-    text = io.StringIO()
+    """Return a table as plain text; for the arguments see :func:`make_table`.
+
+    Columns that do not fit into ``width`` are in further tables below, as in :func:`print_table`.
+    """
+    text, cells = io.StringIO(), [list(row) for row in rows]
     console = Console(file=text, width=_UNLIMITED, highlight=False, markup=False, emoji=False)
-    console.print(make_table(head, rows, left=left, gap=gap))
+    for columns in _blocks(head, cells, width or _UNLIMITED, left, gap):
+        if text.tell():
+            console.print()
+        shown = [[row[k] for k in columns if k < len(row)] for row in cells]
+        console.print(make_table([head[k] for k in columns], shown, left=left, gap=gap))
     return "\n".join(line.rstrip() for line in text.getvalue().splitlines())

@@ -155,7 +155,8 @@ def run(options: argparse.Namespace) -> int:
             if not options.json:
                 _print_agreement(found, runs[0])
             status = OK if found.within(options.tolerance) else FAILED
-            if runs[0].first_contact is None and runs[1].first_contact is None:
+            is_over = is_identical and not options.json
+            if is_over or (runs[0].first_contact is None and runs[1].first_contact is None):
                 if options.json:
                     echo(json.dumps({"bit_identical": is_identical}))
                 return status

@@ -82,10 +82,11 @@ def run(options: argparse.Namespace) -> int:
         json.dump(data, sys.stdout, indent=1)
         echo("")
         return status
-    if rows:
-        _print_rows(rows)
     for path, read in inspected:
         _print_judgement(path if len(options.recordings) > 1 else "", read)
+    if rows:
+        echo("")
+        _print_rows(rows)
     return status
 
 
@@ -99,7 +100,7 @@ def _print_rows(rows: list[tuple[str, SeriesRow]]) -> None:
         own += [_number(row.first, ".3f"), _number(row.last, ".3f"), _number(row.clock, ".4g")]
         own += [row.noise or "-", row.range or "-", row.use]
         cells.append([path, *own] if several else own)
-    print_table(["recording", *_HEAD] if several else _HEAD, cells, left=3 if several else 2)
+    print_table(["recording", *_HEAD] if several else _HEAD, cells, left=2 if several else 1)
 
 
 def _number(value: float | None, kind: str) -> str:

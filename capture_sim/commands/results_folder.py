@@ -19,6 +19,8 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import shutil
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -84,7 +86,8 @@ class ResultsFolder:
         labels = [run.label for run in runs]
         printed = table(own, labels)
         if not quiet:
-            echo(f"\n{printed}\n")
+            width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+            echo(f"\n{table(own, labels, width)}\n")
         with _alone(self._folder):
             rows, notes = self._merged(own)
             numbers = write_json(self._folder / NUMBERS, rows)
@@ -105,7 +108,8 @@ class ResultsFolder:
         for path in reversed(self._recordings()):
             if len(others) + len(runs) >= SHOWN:
                 break
-            if path not in own and (run := _drawable(path)) is not None:
+            run = None if path in own else _drawable(path)
+            if run is not None and not any(_is_copy(run, one.run) for one in runs):
                 others.insert(0, (run, path.stem))
         names = [run.label for run in runs]
         draw([run.run for run in runs], names, self._folder, beside=others)
@@ -220,6 +224,11 @@ def _drawable(path: Path) -> Run | None:
     except CaptureSimError:
         return None
     return run
+
+
+def _is_copy(run: Run, other: Run) -> bool:
+    """Return True if two runs are one simulated run, made twice."""
+    return run.is_exact and other.is_exact and run.samples.tobytes() == other.samples.tobytes()
 
 
 def _labels(rows: Sequence[Row]) -> list[str]:

@@ -91,11 +91,15 @@ def _text(column: _Column, value: Any) -> str:
     return column.form.format(value if column.factor == 1.0 else value * column.factor)
 
 
-def table(summaries: Sequence[dict[str, Any]], names: Sequence[str] | None = None) -> str:
+def table(
+    summaries: Sequence[dict[str, Any]],
+    names: Sequence[str] | None = None,
+    width: int | None = None,
+) -> str:
     """Return summaries as a text table with units in its head, and notes.
 
-    ``names`` replaces the names of the runs.  The text is at most 100 characters wide unless a name
-    is longer than 17 characters.
+    ``names`` replaces the names of the runs.  Columns that do not fit into ``width`` characters are
+    in a second table below.
     """
     from capture_sim.base.tables import table_text  # rich: only where a table is printed
 
@@ -107,7 +111,7 @@ def table(summaries: Sequence[dict[str, Any]], names: Sequence[str] | None = Non
         f"{column.group if column is widest[column.group] else ''}\n{column.name}\n{column.unit}"
         for column in COLUMNS
     ]
-    text = table_text(head, rows(summaries), left=2, gap=1)
+    text = table_text(head, rows(summaries), left=2, gap=1, width=width)
     return "\n".join([text, "", *LEGEND, *notes(summaries)])
 
 

@@ -1,9 +1,19 @@
 """The command line as a user calls it."""
 
+import fcntl
 import json
+import os
+import pty
+import re
+import struct
+import subprocess
+import sys
+import termios
+from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 
+import dirty
 import pytest
 from bags import of_a_bench
 
@@ -166,3 +176,36 @@ def test_ctrl_c_says_what_is_written(command, step, message, tmp_path, monkeypat
         "results_folder.draw": {"paper_undamped.mcap", "results.txt", "results.json"},
     }.get(step, set())
     assert all(name in out for name in written)
+
+
+def on_terminal(width, *arguments):
+    """Return what a command prints on a terminal of this width, without its colours."""
+    master, slave = pty.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
+    environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "NO_COLOR")}
+    command = [sys.executable, "-m", "capture_sim.cli", *map(str, arguments)]
+    with subprocess.Popen(
+        command, stdin=slave, stdout=slave, stderr=subprocess.DEVNULL, env=environment
+    ) as process:
+        os.close(slave)
+        text = b""
+        with suppress(OSError):  # at its end
+            while part := os.read(master, 65536):
+                text += part
+        os.close(master)
+        assert process.wait() == 0
+    return re.sub(r"\x1b\[[0-9;]*m", "", text.decode()).replace("\r", "").splitlines()
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_tables_never_break_on_a_terminal(width, tmp_path):
+    path = dirty.write(tmp_path, "plain")
+    two = ["run", "tilt_p10", "paper_designed", "--no-record", "--out", tmp_path]
+    for command in (two, ["inspect", path, "--scene", "tilt_p10"]):
+        lines = on_terminal(width, *command)
+        rules = [k for k, line in enumerate(lines) if line.startswith("──")]
+        assert len(rules) >= (2 if width == 80 else 1)
+        for k in rules:
+            for line in lines[max(k - 3, 0) : k + 5]:
+                if line and not line.endswith("."):
+                    assert len(line) <= width, line

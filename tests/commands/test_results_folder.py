@@ -248,11 +248,17 @@ def test_plots_show_the_latest_runs_together(folder, monkeypatch):
     )
     folder.mkdir()
     for i in range(SHOWN + 1):
-        path = write_run(made(), folder / f"run_{i}.mcap")
+        path = write_run(
+            made(**{"run.t_end": 0.02 + 0.01 * i}),
+            folder / f"run_{i}.mcap",
+        )
         os.utime(path, ns=(i * 10**9, i * 10**9))
     (folder / "foreign.mcap").write_text("a text")
     ResultsFolder(folder).draw([Recorded(read_run(folder / "run_0.mcap"), folder / "run_0.mcap")])
     assert drawn == [(["run_0"], [f"run_{i}" for i in range(2, SHOWN + 1)])]
+    again = write_run(read_run(folder / "run_6.mcap"), folder / "again.mcap")
+    ResultsFolder(folder).draw([Recorded(read_run(again), again)])
+    assert "run_6" not in drawn[-1][1]  # the same run, made twice
 
 
 def test_a_folder_can_be_moved(folder):
