@@ -190,6 +190,7 @@ class CaptureDetector:
         self._last: tuple[Observation, MeasuredTip] | None = None
         self._capture = CaptureTimes(self._criteria)
         self._t_moving = -math.inf  # s, when the tip last was surely not at rest
+        self._t_near = -math.inf  # s, when it last had surely not retreated
         self._earliest = math.inf  # s, when the present state may have begun
         self._noted = (math.nan, -1)  # begin (s) and cause of the state that it belongs to
         self._buffer_noise = (NoiseEstimate(), NoiseEstimate())
@@ -463,6 +464,12 @@ class CaptureDetector:
             last = -math.inf if before is None else before.t
             self._capture.add(place, self._memory.distance, last, gap, blur)
         self._note_earliest(-math.inf if before is None else before.t)
+        retreat = self._memory.distance - self._memory.nearest_now
+        unsure = math.sqrt(max(place.axial_variance, place.lateral_variance, 0.0))
+        # the closest approach of a bounce is a corner of the path
+        blur = self._corner_time * self._memory.fastest
+        if retreat + GUARD * unsure + blur <= criteria.leave:
+            self._t_near = place.t
         self._place = place
 
     def _note_earliest(self, before: float) -> None:
@@ -474,6 +481,8 @@ class CaptureDetector:
         self._noted = now
         if memory.cause == Cause.AT_REST:
             before = min(before, self._t_moving)
+        if memory.cause in (Cause.RETREATED, Cause.MOVED_AWAY):
+            before = min(before, self._t_near)
         if memory.cause == Cause.STAYED:
             before = -math.inf
         elif not memory.has_approached:

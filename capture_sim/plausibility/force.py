@@ -11,7 +11,7 @@ from capture_sim.plausibility.axes import FORCE_FRAMES, frame_of
 from capture_sim.plausibility.momentum import force_impulse
 from capture_sim.plausibility.motion import MIN_MESSAGES, N_SMOOTH, MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
-from capture_sim.plausibility.signals import noise, smooth
+from capture_sim.plausibility.signals import AWAY, noise, smooth
 
 #: A drift of the sensor's zero is reported above these, N and N/s.
 _DRIFT, _DRIFT_RATE = 1.0, 0.1
@@ -139,6 +139,8 @@ def force_drifts(motion: MeasuredMotion) -> Iterator[Said]:
     kept = force.is_measured
     t, values = force.t[kept], force.force[kept, :2]
     limit = min(motion.contacts.values(), default=np.inf)
+    if motion.scene is not None and motion.pair is not None and motion.stiff_gap[0] < AWAY:
+        return  # it begins at the walls
     quiet = t < limit - 0.05
     if quiet.sum() < 100:
         return

@@ -86,11 +86,8 @@ def scan(path: Path, ratio: float) -> Iterator[RecordContents | Damage]:
             else:
                 yield from _contents_of_plain(file, path, path, size, limit)
     except OSError as error:
-        hint = (
-            "; must be a recording (.mcap, .db3, or the folder of a bag)"
-            if not path.exists()
-            else ""
-        )
+        is_named = path.suffix in (".mcap", ".db3") or path.exists()
+        hint = "" if is_named else "; must be a recording (.mcap, .db3, or the folder of a bag)"
         raise RecordingError(f"{path}: cannot read: {error.strerror or error}{hint}") from None
 
 

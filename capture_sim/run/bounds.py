@@ -100,6 +100,8 @@ def contact_bounds(motion: MeasuredMotion, shown: Iterable[float] = ()) -> Bound
     earlier = [x for x in seen if least <= x < low]
     if later:
         high = later[0]
+        if math.isinf(low):  # no rest before it shows where a source leaves its zero
+            high += _sample_interval(motion)
         if earlier:  # poses allow it: stamps of one source are late
             low = max(least, earlier[0] - _sample_interval(motion))
     elif seen:  # a source shows a contact where another one excludes it
