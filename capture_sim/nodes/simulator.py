@@ -81,8 +81,8 @@ class SimulatorNode(BenchNode):
         wait_for = self.declare(
             "wait_for",
             list,
-            "nodes that every run waits for, by role or name, also nodes of your own; for two of "
-            "one role or name: twice",
+            "nodes that every run waits for, by role or name, also nodes of your own; list a "
+            "name twice to wait for two such nodes",
             allowed="roles (recorder, capture_detector, launcher) or names of nodes",
         )
         self.topic_publishers.reader_timeout = self.declare(
