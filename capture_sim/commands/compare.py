@@ -290,6 +290,8 @@ def _compare(a: Side, b: Side, labels: list[str], options: argparse.Namespace) -
     ended = _check_window(a, b, options.window)
     for label in labels:
         echo(label)
+    if b.turned:
+        echo(f"poses of B turned by {math.degrees(b.turned):+.3g} deg: its frame is not that of A")
     _print_characteristics(a, b)
     for label, side in (("A", a), ("B", b)):
         if side.contact_may_be_late:

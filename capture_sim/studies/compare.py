@@ -22,6 +22,7 @@ from capture_sim.run.loads import LOADS
 from capture_sim.run.run import EVENTS, Run
 from capture_sim.run.series import PARTS, Series, SeriesPart
 from capture_sim.run.touches import TICK, Touches
+from capture_sim.studies.calibration.frame import Frame
 
 #: Topic of the detector's statuses.
 CAPTURE_STATUS = "capture/status"
@@ -53,6 +54,7 @@ class Side:
     touch_source: str  # topic and rate, or why there are none
     # loads of the integration if both runs have them, else empty
     loads: Mapping[str, float | None] = field(default_factory=dict)
+    turned: float = 0.0  # rad, by which the poses were turned into the frame of the other run
 
     @property
     def contact_may_be_late(self) -> bool:
@@ -87,6 +89,7 @@ def sides(a: Run, b: Run) -> tuple[Side, Side]:
         else:
             chosen_b[name] = next(iter(sources_b[name]))
     side_a, side_b = _side(a, sources_a, chosen_a), _side(b, sources_b, chosen_b)
+    side_b = _in_frame_of(side_a, side_b)
     if a.given.extremes is not None and b.given.extremes is not None:
         side_a, side_b = replace(side_a, loads=a.loads), replace(side_b, loads=b.loads)
     return _without_unresolved_touches(side_a, side_b), _without_unresolved_touches(side_b, side_a)
@@ -201,6 +204,36 @@ def _side(run: Run, sources: Mapping[str, Mapping[str, Series]], chosen: Mapping
         touches=touches,
         touch_source=source,
     )
+
+
+#: Two frames are different if both vehicles' headings at the contact differ by more than the first
+#: angle, and by the same within the second one, rad.
+_TURNED, _ALIKE = 0.05, 0.03
+
+
+def _in_frame_of(a: Side, b: Side) -> Side:
+    """Return ``b`` with its poses turned into the frame of ``a``, if the cameras' frames differ."""
+    turns = []
+    for vehicle in ("chaser", "target"):
+        if vehicle not in a.series or vehicle not in b.series:
+            return b
+        one, two = (
+            float(
+                np.interp(side.contact, side.series[vehicle].t, side.series[vehicle].values[:, 2])
+            )
+            for side in (a, b)
+        )
+        turns.append(math.remainder(one - two, math.tau))
+    if min(map(abs, turns)) < _TURNED or abs(turns[0] - turns[1]) > _ALIKE:
+        return b
+    frame = Frame(0.5 * sum(turns))
+    series = {
+        name: each._replace(values=frame.applied(each.values))
+        if name in ("chaser", "target")
+        else each
+        for name, each in b.series.items()
+    }
+    return replace(b, series=series, turned=frame.angle)
 
 
 def _without_unresolved_touches(side: Side, other: Side) -> Side:

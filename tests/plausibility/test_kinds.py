@@ -82,6 +82,21 @@ def test_each_kind_breaks_its_rules_and_no_other(kind, scene, tmp_path):
     assert not any(doubt.rule.name in waived.waived for doubt in waived.doubts)
 
 
+@pytest.mark.parametrize(
+    "kind, grade",
+    [
+        ("poses_an_hour_ahead", Grade.REFUSED),
+        ("poses_120_ms_ahead", Grade.NOTED),
+        ("stamps_zero", Grade.REFUSED),
+        ("no_quaternion", Grade.REFUSED),
+        ("target_stands", Grade.REFUSED),
+    ],
+)
+def test_the_grade_follows_from_the_size_of_the_fault(kind, grade, scene, tmp_path):
+    run = read_run(dirty.write(tmp_path, kind), scene=scene)
+    assert {doubt.grade for doubt in run.doubts} == {grade}
+
+
 @pytest.mark.parametrize("name", ["tilt_0", "tilt_m10", "tilt_p10"])
 def test_exchanged_joints_are_recognised(name, tmp_path):
     scene = capture_sim.load_scene(name)

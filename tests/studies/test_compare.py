@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 
+import dirty
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -17,6 +18,7 @@ from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.run.series import Series
 from capture_sim.run.touches import Touches, located
+from capture_sim.studies.calibration.frame import Frame
 from capture_sim.studies.compare import (
     SAMPLED_FORCE,
     characteristics,
@@ -215,6 +217,27 @@ def test_a_comparison_can_be_read_by_a_program(path, other, capsys):
     assert {gap["series"] for gap in data["differences"]} >= {"chaser", "stroke"}
     assert main(["compare", str(path), "--simulated", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["bit_identical"] is True
+
+
+def test_poses_in_another_frame_are_compared_in_one(tmp_path, capsys):
+    """The same trial, with the world of the cameras turned by 0.5 rad."""
+    frame = Frame(0.5, 0.1, -0.2)
+
+    def turn(message, _):
+        p, o = message.pose.position, message.pose.orientation
+        theta = 2.0 * math.atan2(o.z, o.w)
+        ((p.x, p.y, theta),) = frame.applied(np.array([[p.x, p.y, theta]]))
+        o.z, o.w = math.sin(0.5 * theta), math.cos(0.5 * theta)
+
+    records = dirty.clean()
+    paths = []
+    for name, each in (("a", records), ("b", dirty.changed(records, dirty.BODIES, turn))):
+        paths.append(str(dirty.write_mcap(tmp_path / f"{name}.mcap", each)))
+    assert main(["compare", *paths, "--scene", "tilt_p10", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert max(abs(gap["largest"]) for gap in data["differences"]) < 1e-3  # means of noisy headings
+    assert main(["compare", *paths, "--scene", "tilt_p10", f"--out={tmp_path}"]) == 0
+    assert "poses of B turned by -28.6 deg: its frame is not that of A" in capsys.readouterr().out
 
 
 def test_touches_that_could_be_paired_otherwise_are_said_to_be():
