@@ -37,7 +37,8 @@ GROUPS = {
     "study": {
         "calibrate": "fit the parameters of a bench to its trials, and predict the next one",
         "identify": "fit parameters of the bench to a recorded run",
-        "design": "find springs and damper for target strokes",
+        "design": "find the buffers that capture within limits, and that no other beats",
+        "paper": "design a buffer as in the paper, for the strokes of the first contact",
         "sweep": "run a scene over values, distributions or a table",
     },
 }

@@ -11,20 +11,15 @@ import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Self
-
-from rich.console import Console
+from typing import Any
 
 from capture_sim.base.exit_status import FAILED, INTERRUPTED, OK
 from capture_sim.base.journal import Journal, read_journal
 from capture_sim.base.software import software_versions
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.design_report import (
-    outcome_of,
-    print_whole_run,
     report_front,
     sections_of,
-    write_design,
     write_front,
 )
 from capture_sim.commands.inputs import (
@@ -80,14 +75,7 @@ from capture_sim.studies.limits import (
     make_objectives,
     read_limits,
 )
-from capture_sim.studies.outcome import run_first_contact, run_to_end
-from capture_sim.studies.paper_flow import (
-    FirstContactDesign,
-    FirstContactTarget,
-    FlowRun,
-    design_first_contact,
-    with_buffer,
-)
+from capture_sim.studies.outcome import run_to_end
 from capture_sim.studies.rows import CONVERGED
 from capture_sim.studies.search import Window
 from capture_sim.studies.variables import FREE, TORSIONAL, make_variables
@@ -99,7 +87,7 @@ DESCRIPTION = (
     "If no buffer captures within the limits, print the one that comes "
     "closest among the ones tried. Limits apply to the whole run, including the "
     "latched phase. Without limits and objectives, the strokes of the scene's own buffer are the "
-    "limits. With --first-contact, design as in the paper: for strokes of the first contact."
+    "limits. To design as in the paper, for strokes of the first contact: capture-sim paper."
 )
 FAILS = "no buffer was found that captures within the limits"
 EXAMPLE = """\
@@ -235,24 +223,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"with --under, run each candidate with N draws (default: {DRAWS}); the design is "
         f"checked with {CHECK_DRAWS} new ones",
     )
-    parser.add_argument(
-        "--first-contact",
-        action="store_true",
-        help="design as in the paper: meet --stroke and --torsion in the first contact without the "
-        "damper; later contacts may exceed them",
-    )
-    parser.add_argument(
-        "--stroke",
-        type=in_unit("mm"),
-        metavar="MM",
-        help="set the target axial stroke of --first-contact, mm or with a unit",
-    )
-    parser.add_argument(
-        "--torsion",
-        type=in_unit("mrad"),
-        metavar="MRAD",
-        help="set the target torsion of --first-contact, mrad or with a unit",
-    )
     parser.add_argument("-v", "--verbose", action="store_true", help="list every candidate buffer")
     add_workers(parser)
     add_out(parser, "runs/design")
@@ -262,8 +232,6 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
     _check(options)
     scene = load(options.scene, options.overrides)
-    if options.first_contact:
-        return _design_first_contact(scene, options)
     free = _free(options.free)
     under = None
     if options.under is not None or options.calibrated is not None:
@@ -488,27 +456,6 @@ def _picked(design: Design, pick: int | str) -> int | None:
 
 def _check(options: argparse.Namespace) -> None:
     """Raise SceneError if an option excludes, or requires, another option."""
-    targets = {"--stroke": options.stroke, "--torsion": options.torsion}
-    if options.first_contact:
-        if (options.stroke is None) != (options.torsion is None):
-            raise SceneError("--stroke (mm), --torsion (mrad): must be given both or neither")
-        others = {"--stroke-limit": options.stroke_limit, "--torsion-limit": options.torsion_limit}
-        others |= {"--limit": options.limits, "--free": options.free, "--under": options.under}
-        others |= {"--confidence": options.confidence, "--correlate": options.correlate}
-        others |= {"--draws": options.draws, "--minimize": options.minimize}
-        others |= {"--maximize": options.maximize, "--approach": options.approach}
-        others |= {"--capture-range": options.capture_range, "--candidates": options.candidates}
-        others |= {"--window": options.window, "--allow-leaving": options.allow_leaving}
-        others |= {"--allow-passing": options.allow_passing}
-        others |= {"--from": options.earlier, "--resume": options.resume}
-        others |= {"--calibrated": options.calibrated}
-        for name, value in others.items():
-            if value:
-                raise SceneError(f"{name}: must be given without --first-contact")
-        return
-    for name, value in targets.items():
-        if value:
-            raise SceneError(f"{name}: must be given with --first-contact; use {name}-limit")
     of_draws = {"--confidence": options.confidence, "--draws": options.draws}
     of_draws["--correlate"] = options.correlate
     for name, value in of_draws.items():
@@ -567,37 +514,6 @@ def _own_limits(scene: Scene) -> tuple[Limit, ...]:
     )
 
 
-class _Candidates:
-    """Output of the candidate buffers while ``--first-contact`` searches.
-
-    With ``--verbose``, each candidate is printed.  Otherwise a terminal shows the latest candidate.
-    """
-
-    def __init__(self, line: Callable[[Any], str], *, verbose: bool) -> None:
-        self._line, self._verbose = line, verbose
-        self._count = 0
-        console = Console(stderr=True)
-        self._status = console.status("") if console.is_terminal and not verbose else None
-
-    def __enter__(self) -> Self:
-        if self._status is not None:
-            self._status.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._status is not None:
-            self._status.stop()
-
-    def show(self, candidate: Any) -> None:
-        """Show a candidate buffer and its loads."""
-        self._count += 1
-        line = f"{self._count:5d}  {self._line(candidate)}"
-        if self._verbose:
-            echo(line)
-        elif self._status is not None:
-            self._status.update(f"candidate {line.strip()}")
-
-
 def _line_of(objectives: Sequence[Measure]) -> Callable[[Candidate], str]:
     def line(candidate: Candidate) -> str:
         values = "  ".join(
@@ -611,87 +527,3 @@ def _line_of(objectives: Sequence[Measure]) -> Callable[[Candidate], str]:
         return f"{values}  {loads}  {candidate.verdict}{violates}"
 
     return line
-
-
-def _trial_line(trial: FlowRun) -> str:
-    return (
-        f"k_A {trial.k_A:9.5g}  k_T {trial.k_T:9.5g}  c_A {trial.c_A:8.4g}  "
-        f"{trial.axial_stroke * 1e3:8.4f} mm  {trial.torsion * 1e3:8.4f} mrad"
-        f"{'' if trial.verdict is None else f'  {trial.verdict}'}"
-    )
-
-
-def _design_first_contact(scene: Scene, options: argparse.Namespace) -> int:
-    """Run ``--first-contact``, the design flow of the paper; return the exit status."""
-    prepare_folder(options.out)
-    compile_first()
-    stroke, torsion = options.stroke, options.torsion
-    if stroke is None:
-        b = scene.buffer
-        own = run_first_contact(with_buffer(scene, b.k_A, b.k_T, 0.0))
-        stroke, torsion = own.axial_stroke, own.torsion
-    target = FirstContactTarget(stroke, torsion, options.peak_force)
-    echo(
-        f"target: {stroke * 1e3:.4g} mm and {torsion * 1e3:.4g} mrad (first contact, without the "
-        "damper)"
-    )
-    with _Candidates(_trial_line, verbose=options.verbose) as candidates:
-        design = design_first_contact(scene, target, candidates.show)
-    _report_first_contact(design)
-    _keep_first_contact(design, options.out)
-    with drawing():
-        from capture_sim.viewing.canvas import save
-        from capture_sim.viewing.studies import draw_first_contact_design
-
-        path = options.out / "design.png"
-        echo(f"plot in {save(draw_first_contact_design(design), path)}")
-    return OK if design.met else FAILED
-
-
-def _report_first_contact(design: FirstContactDesign) -> None:
-    echo(f"{len(design.history)} runs")
-    if not design.met:
-        echo(f"no buffer meets the target: {design.refusal}")
-        return
-    assert design.scene is not None
-    assert design.undamped is not None
-    assert design.damped is not None
-    assert design.outcome is not None
-    assert design.energy is not None
-    assert design.capturing is not None
-    b, energy = design.scene.buffer, design.energy
-    low, high = design.capturing
-    echo(f"k_A = {b.k_A:.5g} N/m, k_T = {b.k_T:.5g} N m/rad, c_A = {b.c_A:.4g} N s/m")
-    echo(f"  captures from c_A = {low:.4g} to {high:.4g} N s/m")
-    for name, contact in (("without", design.undamped), ("with", design.damped)):
-        echo(
-            f"  first contact {name} the damper: {contact.axial_stroke * 1e3:.4g} mm, "
-            f"{contact.torsion * 1e3:.4g} mrad, {contact.duration * 1e3:.1f} ms, "
-            f"touch {contact.peak_force:.1f} N, buffer {contact.buffer_force:.1f} N"
-        )
-    echo(
-        f"  of {energy.approach * 1e3:.2f} mJ at the first touch, the damper dissipated "
-        f"{energy.damper * 1e3:.2f} mJ and the touches {energy.contact * 1e3:.2f} mJ until the "
-        "verdict"
-    )
-    print_whole_run(design.scene, design.outcome, design.target.limits)
-    for limit in design.exceeded:
-        echo(
-            f"later contacts exceed the target: {limit.meaning} "
-            f"{limit.shown(design.outcome.loads[limit.key])} {limit.load.shown_in}, must be at "
-            f"most {limit.shown(limit.value)}; omit --first-contact to include them"
-        )
-
-
-def _keep_first_contact(design: FirstContactDesign, folder: Path) -> None:
-    """Write the designed buffer as a scene, if one was found, and all runs of the design flow."""
-
-    def plain(trial: FlowRun) -> dict[str, Any]:
-        nearest = None if math.isnan(trial.nearest) else trial.nearest
-        return {**dataclasses.asdict(trial), "nearest": nearest}
-
-    kept: dict[str, Any] = {"refusal": design.refusal}
-    kept["target"] = dataclasses.asdict(design.target)
-    kept |= outcome_of(design.outcome)
-    kept["history"] = [plain(trial) for trial in design.history]
-    write_design(kept, design.scene if design.met else None, folder)

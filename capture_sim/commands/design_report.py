@@ -306,7 +306,7 @@ def _whole_run(scene: Scene, outcome: Outcome, limits: Sequence[Limit]) -> Secti
 
 
 def _verdict(outcome: Outcome) -> str:
-    return f"{outcome.verdict}, left again" if outcome.left_again else outcome.verdict
+    return f"{outcome.verdict}, left" if outcome.left_again else outcome.verdict
 
 
 def _load_rows(outcome: Outcome, limits: Sequence[Limit]) -> list[list[str]]:

@@ -137,7 +137,7 @@ def test_an_axis_has_finite_values_or_is_rejected_in_a_line(name, text):
             assert all(isinstance(value, str) or math.isfinite(value) for value in drawn)
 
 
-DESIGN, PAPER, SWEEP = ["design"], ["design", "--first-contact"], ["sweep"]
+DESIGN, PAPER, SWEEP = ["design"], ["paper"], ["sweep"]
 BENCH, REPLAY = ["bench", "tilt_0"], ["replay", "x.mcap"]
 NO_FACTOR = "must be a number >= 0 and <= 1000"
 
@@ -157,12 +157,11 @@ NO_FACTOR = "must be a number >= 0 and <= 1000"
         (
             DESIGN,
             ["--stroke=5"],
-            "--stroke: must be given with --first-contact; use --stroke-limit",
+            "unrecognized arguments: --stroke=5; did you mean --stroke-limit?",
         ),
         (PAPER, ["--stroke=5"], "--stroke (mm), --torsion (mrad): must be given both or neither"),
         (PAPER, ["--stroke=0", "--torsion=1"], "'0': must be a number > 0, in mm"),
         (PAPER, ["--stroke=1", "--torsion=2000"], "torsion = 2.0 rad: must be >= 1e-06"),
-        (PAPER, ["--minimize=max_torsion"], "--minimize: must be given without --first-contact"),
         (DESIGN, ["--minimize=max_force"], "minimize max_force: is no load; did you mean"),
         (DESIGN, ["--minimize=max_torsion,max_torsion"], "max_torsion: must be given once"),
         (DESIGN, ["--maximize=max_torsion"], "maximize max_torsion: must be capture_range"),
@@ -170,7 +169,6 @@ NO_FACTOR = "must be a number >= 0 and <= 1000"
         (DESIGN, ["--approach=offset=5:-5:3"], "must be LOW:HIGH:COUNT with LOW < HIGH"),
         (DESIGN, ["--pick=13"], "--pick: '13': must be knee, or the number of a row, 1 to 12"),
         (DESIGN, ["--candidates=5"], "--candidates: '5': must be a whole number"),
-        (PAPER, ["--stroke-limit=5"], "--stroke-limit: must be given without --first-contact"),
         (DESIGN, ["--confidence=0.9"], "--confidence: must be given with --under or --calibrated"),
         (DESIGN, ["--under=missing.yaml"], "missing.yaml: cannot be read"),
         (DESIGN, ["--limit=max_torsion"], "must be LOAD=VALUE"),
