@@ -65,13 +65,6 @@ def sequence_of(topic: Topic, data: bytes) -> int | None:
     return _unpacked(_SEQUENCE, topic, data, place)[0]
 
 
-def frame_id_of(topic: Topic, data: bytes) -> str:
-    """Return ``header.frame_id`` of a serialised message; empty if it is not UTF-8."""
-    (length,) = _unpacked(_LENGTH, topic, data, _HEADER + _TIME.size)
-    begin = _HEADER + _TIME.size + _LENGTH.size
-    return bytes(data[begin : begin + max(length - 1, 0)]).decode(errors="ignore")
-
-
 def _unpacked(
     kind: struct.Struct, topic: Topic, data: bytes | memoryview, place: int
 ) -> tuple[int, ...]:

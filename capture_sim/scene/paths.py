@@ -36,14 +36,6 @@ def expanded(name: str) -> tuple[str, ...]:
     return ALIASES.get(name) or (name,)
 
 
-def value_of(scene: Scene, name: str) -> float:
-    """Return the value of a parameter in a scene, at the first of its paths.
-
-    SceneError as from :func:`paths_of`.
-    """
-    return float(get(scene, paths_of(scene, name)[0]))
-
-
 def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
     """Return the paths of a parameter, given by a short name or a path.
 
