@@ -94,8 +94,8 @@ class CaptureStatus(NamedTuple):
 
     ``nearest_deviation`` is the standard error of ``nearest_distance``, see
     :attr:`capture_sim.detection.nearest.ClosestApproach.estimate`.  ``may_precede`` (s) is the time
-    by which the state may have begun before ``t - time_in_state``, because of noise, gaps and the
-    interval of the measurements; infinite: before the first measurement.  ``may_follow`` (s) is
+    by which the state may have begun before ``t - time_in_state``, because of noise and gaps;
+    infinite: before the first measurement.  ``may_follow`` (s) is
     that by which it may have begun later; infinite: nothing so far is certain enough to tell.
     ``not_used`` is set at the end of a run.  It lists the numbers of unused measurements by source
     and reason, with the likely cause if they are many.

@@ -96,7 +96,8 @@ class CaptureTimes:
         if distance - unsure > c.radius:
             self._since_perhaps = math.nan
         elif math.isnan(self._since_perhaps):
-            self._since_perhaps = before
+            # without noise, the place before is surely outside
+            self._since_perhaps = t if unsure == 0.0 and t - before <= gap else before
         if distance + unsure > c.radius or (t - before > gap and self.latest == math.inf):
             self._since_surely = math.nan
         if distance + unsure <= c.radius and math.isnan(self._since_surely):
@@ -104,7 +105,7 @@ class CaptureTimes:
         if t - self._since_perhaps >= c.dwell - _TICK:
             self.earliest = min(self.earliest, self._since_perhaps + c.dwell)
         if place.axial - along <= 0.0:
-            self.earliest = min(self.earliest, before)
+            self.earliest = min(self.earliest, t if along == 0.0 and t - before <= gap else before)
         if t - self._since_surely >= c.dwell - _TICK or place.axial + along <= 0.0:
             self.latest = min(self.latest, t)
 
@@ -463,7 +464,8 @@ class CaptureDetector:
             blur = self._corner_time * math.hypot(place.axial_rate, place.lateral_rate)
             last = -math.inf if before is None else before.t
             self._capture.add(place, self._memory.distance, last, gap, blur)
-        self._note_earliest(-math.inf if before is None else before.t)
+        is_sampled = place.size == 1 and before is not None and not is_after_gap
+        self._note_earliest(math.inf if is_sampled else -math.inf if before is None else before.t)
         retreat = self._memory.distance - self._memory.nearest_now
         unsure = math.sqrt(max(place.axial_variance, place.lateral_variance, 0.0))
         # the closest approach of a bounce is a corner of the path
@@ -479,13 +481,13 @@ class CaptureDetector:
         if now == self._noted:
             return
         self._noted = now
-        if memory.cause == Cause.AT_REST:
+        if memory.cause == Cause.AT_REST and math.isfinite(before):
             before = min(before, self._t_moving)
-        if memory.cause in (Cause.RETREATED, Cause.MOVED_AWAY):
+        if memory.cause in (Cause.RETREATED, Cause.MOVED_AWAY) and math.isfinite(before):
             before = min(before, self._t_near)
         if memory.cause == Cause.STAYED:
             before = -math.inf
-        elif not memory.has_approached:
+        elif not memory.has_approached or self._state is CaptureState.APPROACH:
             before = math.inf
         self._earliest = before
 

@@ -172,7 +172,7 @@ def test_bench_with_a_clock_of_its_own_counts_from_the_arrival_of_the_release(
     assert main(["detect", str(path), "--scene", "tilt_p10"]) == 0
     told = capsys.readouterr().out
     (line,) = (line for line in told.splitlines() if line.startswith("verdict"))
-    assert line.startswith(f"verdict: captured since {decided_at(run):.3f} s, ")
+    assert line.startswith(f"verdict: captured since {decided_at(run):.3f} s; ")
     assert "closest approach in the samples" in line
     assert told.rstrip().endswith("the same")
 
