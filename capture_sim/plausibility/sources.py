@@ -56,8 +56,9 @@ def no_pose(motion: MeasuredMotion) -> Iterator[Said]:
     "poses_stand",
     Grade.REFUSED,
     compares="every pose of a vehicle with the one before",
-    threshold=f"all of {_STANDS} or more are equal to the last bit, while the other vehicle's have "
-    "noise, or the chaser's while the buffer shows a contact; not checked before a release",
+    threshold=f"all of {_STANDS} or more are equal to the last bit, while the other vehicle's "
+    "have noise, or the chaser's while the buffer shows a contact; a target's is noted as long as "
+    "nothing has met it; not checked before a release",
     reason="cameras measure with noise; a driver repeats the last pose of a body that it lost",
     needs=("poses",),
 )
@@ -70,10 +71,15 @@ def poses_stand(motion: MeasuredMotion) -> Iterator[Said]:
     has_met = "buffer" in motion.contacts
     for name, poses in motion.measured.vehicles:
         if stands[name] and (is_noisy or (has_met and stands.get("chaser", False))):
+            hint = (
+                "" if name == "chaser" else ", or waive the rule if its pose is given, not measured"
+            )
             yield Said(
                 poses.topic,
                 f"{name} never moves, and its pose has no noise: all {poses.count} must be "
-                "measurements; check the tracking",
+                f"measurements; check the tracking{hint}",
+                # a target that nothing has met may stand
+                grade=None if has_met or name == "chaser" else Grade.NOTED,
             )
 
 

@@ -207,7 +207,8 @@ class Problem:
         found: list[np.ndarray | None] = []
         tasks = [self._task(*each) for each in asked]
         # a trial is sent once with all of its tasks in a group
-        size = max(len(tasks) // (4 * getattr(self.executor, "_max_workers", len(tasks))), 1)
+        workers = getattr(self.executor, "_max_workers", len(tasks))
+        size = max(len(tasks) // max(4 * workers, 1), 1)
         groups = [tasks[k : k + size] for k in range(0, len(tasks), size)]
         for group in answers(self.executor, _residuals_of, groups):
             for each in group:
