@@ -361,10 +361,14 @@ def test_a_node_that_hears_no_other_is_alone(node):
     assert node.now == pytest.approx(ALONE_TIME, abs=0.1)
 
 
-def test_a_node_that_hears_another_waits_no_longer(node):
-    node.at(0.1, lambda: node.hear(ROLL, part_of(FREE)))
+@pytest.mark.parametrize("heard", [[0.1], [0.1, 0.3]])
+def test_a_node_that_hears_others_waits_until_it_hears_no_further_one(heard, node):
+    """It began with the first, before it knew that a second one filled the same role."""
+    for number, t in enumerate(heard):
+        part = part_of(FREE, participant=f"/node_{number}#{number}")
+        node.at(t, lambda part=part: node.hear(ROLL, part))
     alone(node).await_nodes("tilt_0", 60.0)
-    assert node.now == pytest.approx(DISCOVERY_TIME, abs=0.1)
+    assert node.now == pytest.approx(heard[-1] + DISCOVERY_TIME, abs=0.05)
 
 
 @pytest.mark.parametrize("is_named", [True, False])
