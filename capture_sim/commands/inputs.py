@@ -248,6 +248,24 @@ def add_remaps(parser: argparse.ArgumentParser) -> None:
         metavar="GIB",
         help="limit the memory for a recording's messages that are used, GiB (default: 1)",
     )
+    parser.add_argument(
+        "--trial",
+        action=_SetTrial,
+        metavar="N",
+        help="read only the N-th trial of a recording with several, which pauses of 2 s in all "
+        "measurements tell apart",
+    )
+
+
+class _SetTrial(argparse.Action):
+    """Sets the trial that is read of recordings with several."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option: Any = None) -> None:
+        if not re.fullmatch(r"[1-9]\d{0,5}", str(values)):
+            raise argparse.ArgumentError(self, f"{values!r}: must be a whole number >= 1")
+        from capture_sim.recording.trials import TRIAL
+
+        TRIAL.set(int(values))
 
 
 class _SetMemory(argparse.Action):

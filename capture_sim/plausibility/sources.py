@@ -237,7 +237,7 @@ def several_trials(motion: MeasuredMotion) -> Iterator[Said]:
         yield Said(
             motion.pair_topic,
             f"{paused.size + 1} trials: one begins {begins} s after the first pose, further away "
-            "than the one before ended; they are evaluated as one: cut the recording",
+            "than the one before ended; evaluated as one unless --trial N chooses one",
         )
 
 

@@ -50,6 +50,7 @@ from capture_sim.recording.recorded_bench import (
     trace_in,
 )
 from capture_sim.recording.recorded_topics import Columns, RecordedTopics
+from capture_sim.recording.trials import TRIAL, keep_trial
 from capture_sim.recording.write import (
     END_METADATA,
     REMAPS,
@@ -71,6 +72,7 @@ def read_bag(
     *,
     remaps: Mapping[str, str] | None = None,
     release: float | None = None,
+    trial: int | None = None,
 ) -> Bag:
     """Read a recording from a file or from a bag's folder, and check its checksums.
 
@@ -90,16 +92,21 @@ def read_bag(
     release
         Release time, s after the first pose; None to find it, see :attr:`Bag.clock`, which raises
         RecordingError if this time is outside of the recording.
+    trial
+        Number of the trial to read, counted from 1, if several are in one recording; None for that
+        of the command line, or the whole recording.
 
     Raises
     ------
     RecordingError
         The file cannot be read or is not a recording, or a topic of ``remaps`` is in it under
-        neither name or under both names.
+        neither name or under both names, or there is no such trial.
     """
     path = Path(path)
     contents = read_contents(path)
     remap(path, contents, remaps or {})
+    if number := TRIAL.get() if trial is None else trial:
+        keep_trial(path, contents, number)
     _leave_out_undefined(contents)
     return Bag(path, contents, release)
 

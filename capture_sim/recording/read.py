@@ -42,6 +42,7 @@ def read_run(
     scene: Scene | None = None,
     remaps: Mapping[str, str] | None = None,
     release: float | None = None,
+    trial: int | None = None,
 ) -> Run:
     """Read a recorded run: an MCAP or .db3 file or a bag's folder, of the suite or of a real bench.
 
@@ -56,6 +57,8 @@ def read_run(
         ``{"chaser/odom": "/mocap/rb1/odom"}``, in addition to those that the recorder has noted.
     release
         Release time, s after the first pose; None to find it.
+    trial
+        Number of the trial to read, counted from 1, if several are in one recording.
 
     Returns
     -------
@@ -85,7 +88,7 @@ def read_run(
     ...     read.verdict, read.samples.tobytes() == made.samples.tobytes()
     ('captured', True)
     """
-    return run_of(read_bag(path, remaps=remaps, release=release), scene)
+    return run_of(read_bag(path, remaps=remaps, release=release, trial=trial), scene)
 
 
 def run_of(bag: Bag, scene: Scene | None = None) -> Run:

@@ -8,6 +8,9 @@ import dirty
 import pytest
 
 from capture_sim.cli import main
+from capture_sim.errors import RecordingError
+from capture_sim.recording.read import read_run
+from capture_sim.scene.loading import load_scene
 
 
 @pytest.fixture
@@ -47,3 +50,23 @@ def test_results_for_programs_are_those_of_the_table(trials, capsys):
     }
     assert data["same_as_recorded"] is None
     assert data["verdict_time_low"] <= 3.41 <= data["verdict_time_high"]
+
+
+def test_a_trial_of_several_in_one_recording_is_chosen(tmp_path, capsys):
+    """Before, the second trial of a bag was not named, and the verdict was 'undecided'."""
+    path = str(dirty.write(tmp_path, "two_trials"))
+    found = {}
+    for number in ("1", "2"):
+        command = ["detect", path, "--scene", "tilt_p10", "--json", "--trial", number]
+        assert main(command) == 0
+        ((found[number]),) = json.loads(capsys.readouterr().out)
+    assert found["1"]["verdict"] == "undecided"
+    assert found["1"]["first_contact_time"] is None
+    assert found["2"]["verdict"] == "captured"
+    bounds = [found["2"][f"first_contact_time_{end}"] for end in ("low", "high")]
+    assert bounds[0] < dirty.TRUE.first_contact < bounds[1]
+    run = read_run(path, scene=load_scene("tilt_p10"))  # the choice was that command's
+    assert "several_trials" in [doubt.rule.name for doubt in run.doubts]
+    assert run.replaced().verdict == "undecided"
+    with pytest.raises(RecordingError, match="trial = 3: must be 1 to 2"):
+        read_run(path, trial=3)
