@@ -150,6 +150,15 @@ def test_log_times_that_step_back_by_years_keep_the_order_of_the_file(clean, tmp
     )
 
 
+def test_messages_that_are_not_in_the_sqlite_file_yet_are_named(clean, tmp_path):
+    """A killed recorder leaves them in a file beside it, which was ignored in silence."""
+    path = dirty.write(tmp_path, "sqlite") / "sqlite.db3"
+    path.with_name("sqlite.db3-wal").write_bytes(bytes(4096))
+    bag = read_bag(path)
+    assert any("sqlite.db3-wal beside it has messages" in line for line in bag.problems)
+    assert sum(bag.topics.values()) == sum(clean.topics.values())
+
+
 @pytest.mark.parametrize("name", ["a #1?.db3", "100%.db3"])
 def test_sqlite_file_of_any_name_is_read(name, clean, tmp_path):
     path = dirty.write(tmp_path, "sqlite") / "sqlite.db3"
