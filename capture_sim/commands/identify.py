@@ -145,6 +145,10 @@ def run(options: argparse.Namespace) -> int:
             if abs(fit.correlation[i, j]) > 0.9:
                 echo(f"{second} and {first} are hard to separate: {fit.correlation[i, j]:+.2f}")
     print_starts(fit.calibration)
+    assert fit.calibration.problem is not None
+    frame = fit.calibration.problem.trials[0].frame
+    if frame.is_far:
+        echo(f"the frame of the poses is {frame.text} against the scene's: taken out")
     echo(
         f"chi2 {fit.chi2:.3g} per degree of freedom (1: residuals at the noise floor), "
         f"{fit.touches} touches, {fit.evaluations} simulations"

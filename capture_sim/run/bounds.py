@@ -47,20 +47,23 @@ class Bounds(NamedTuple):
         """Return the value, or the bound that it exceeds."""
         return min(max(value, self.low), self.high)
 
-    def text(self, value: float | None, unit: str = "s", digits: int = 3) -> str:
-        """Return value and bounds in words, e.g. ``2.595 s (2.590 to 2.600)``."""
-        low, high = (f"{x:.{digits}f}" for x in (self.low, self.high))
+    @property
+    def is_wide(self) -> bool:
+        """True if they are further apart than samples are."""
+        return bool(self.why) or self.high - self.low > HOLE
+
+    def text(self, value: float | None = None) -> str:
+        """Return a time and its bounds, s, in words, e.g. ``2.595 s (2.590 to 2.600)``."""
+        why = f" ({self.why})" if self.why else ""
         if math.isinf(self.low) and math.isinf(self.high):
-            return f"not known ({self.why})"
+            return f"not known{why}"
         if math.isinf(self.low):
-            return f"before {high} {unit} ({self.why})"
+            return f"before {self.high:.3f} s{why}"
         if math.isinf(self.high):
-            return f"none seen, but possible after {low} {unit} ({self.why})"
-        if self.why or value is None or self.high - self.low > HOLE:
-            return f"between {low} and {high} {unit}" + (f" ({self.why})" if self.why else "")
-        if low == high:
-            return f"{high} {unit}"
-        return f"{value:.{digits}f} {unit} ({low} to {high})"
+            return f"none seen, but possible after {self.low:.3f} s{why}"
+        if self.is_wide or value is None:
+            return f"between {self.low:.3f} and {self.high:.3f} s{why}"
+        return f"{value:.3f} s ({self.low:.3f} to {self.high:.3f})"
 
 
 def contact_text(first: tuple[float, str] | None, bounds: Bounds | None) -> str:
@@ -68,7 +71,7 @@ def contact_text(first: tuple[float, str] | None, bounds: Bounds | None) -> str:
     if bounds is None:
         return "none" if first is None else f"{first[0]:.3f} s, by {first[1]}"
     text = bounds.text(None if first is None else first[0])
-    return text if first is None or bounds.why else f"{text}, by {first[1]}"
+    return text if first is None or bounds.is_wide else f"{text}, by {first[1]}"
 
 
 def contact_bounds(motion: MeasuredMotion, shown: Iterable[float] = ()) -> Bounds | None:

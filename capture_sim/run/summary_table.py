@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from capture_sim.run.bounds import HOLE
+from capture_sim.run.bounds import Bounds
 
 
 class _Column(NamedTuple):
@@ -132,9 +133,9 @@ def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
         f"{s['name']}: {s['impact_speed_missing']}." for s in summaries if s["impact_speed_missing"]
     ]
     lines += [
-        f"{s['name']}: first contact {text}."
+        f"{s['name']}: first contact {bounds.text()}."
         for s in summaries
-        if (text := wide_text(s["first_contact_time_low"], s["first_contact_time_high"]))
+        if (bounds := _contact_bounds(s)) is not None and bounds.is_wide
     ]
     residuals = [s["energy_residual"] for s in summaries if s["energy_residual"] is not None]
     if residuals:
@@ -147,13 +148,12 @@ def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
     return lines + [made_by_text(s["name"], s["made_by"]) for s in summaries if s.get("made_by")]
 
 
-def wide_text(low: float | None, high: float | None) -> str:
-    """Return bounds of a time, s, in words; empty if they are as close as samples, or unknown."""
-    if high is None:
-        return "" if low is None else f"none seen, but possible after {low:.3f} s"
-    if low is None:
-        return f"before {high:.3f} s"
-    return f"between {low:.3f} and {high:.3f} s" if high - low > HOLE else ""
+def _contact_bounds(summary: Mapping[str, Any]) -> Bounds | None:
+    """Return the bounds of the first contact in a summary; None if it has none."""
+    low, high = (summary[f"first_contact_time_{end}"] for end in ("low", "high"))
+    if low is None and high is None:
+        return None
+    return Bounds(-math.inf if low is None else low, math.inf if high is None else high)
 
 
 def made_by_text(name: str, made_by: Mapping[str, Any]) -> str:

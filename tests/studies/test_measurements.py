@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+import dirty
 import numpy as np
 import pytest
 from recorded_bags import BENCH_TOPICS, rewritten
@@ -9,6 +12,7 @@ from recorded_bags import BENCH_TOPICS, rewritten
 from capture_sim.cli import main
 from capture_sim.recording.read import read_run
 from capture_sim.run.series import PARTS, series_in
+from capture_sim.studies.calibration.frame import Frame
 
 
 def test_what_is_no_number_or_comes_twice_is_left_out(path, tmp_path, capsys):
@@ -73,3 +77,22 @@ def test_identify_command_finds_what_the_run_was_made_with(path, capsys):
     assert "does not explain" in capsys.readouterr().out
     assert main(["identify", str(path), "colour"]) == 2
     assert "parameter colour: must be one of c_rr, e, mu, c_A" in capsys.readouterr().err
+
+
+def test_a_frame_of_the_cameras_that_is_taken_out_is_said(tmp_path, capsys):
+    """The rig of tilt_p10, whose world is turned by 0.5 rad: rolling resistance is the same."""
+    frame = Frame(0.5, 0.1, -0.2)
+
+    def turn(message, _):
+        p, o = message.pose.position, message.pose.orientation
+        theta = 2.0 * math.atan2(o.z, o.w)
+        ((p.x, p.y, theta),) = frame.applied(np.array([[p.x, p.y, theta]]))
+        o.z, o.w = math.sin(0.5 * theta), math.cos(0.5 * theta)
+
+    records = dirty.changed(dirty.clean(), dirty.BODIES, turn)
+    path = str(dirty.write_mcap(tmp_path / "rig.mcap", records))
+    assert main(["identify", path, "c_rr", "--scene", "tilt_p10", "--starts", "1"]) == 0
+    said = capsys.readouterr().out
+    assert "the frame of the poses is turned by -28.7 deg" in said or "by -28.6 deg" in said
+    row = next(line.split() for line in said.splitlines() if line.startswith("c_rr"))
+    assert float(row[1]) == pytest.approx(1e-3, rel=0.01)
