@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 
 from benchmarks.node_suite import Suite, endless
 from benchmarks.pages import Spread, repeated, table, write_parts
@@ -30,6 +32,7 @@ from capture_sim.recording.write import RunWriter
 from capture_sim.run.series import Series
 from capture_sim.run.touches import Touches
 from capture_sim.studies.identify import RELEASE, identify, is_explained
+from tests import dirty
 from tests.nodes.bench_processes import processes
 from tests.noisy_bench import (
     CELL_RATE,
@@ -90,6 +93,78 @@ def write(_: Namespace, folder: Path) -> list[str]:
         "",
         table(["", "messages", "CPU time, s", "minimum to maximum"], rows),
     ]
+
+
+#: Sizes of files with cameras, GB; bytes of an image.
+_SIZES, _IMAGE = (0.0, 0.1, 1.0, 5.0), 2 << 20
+#: The library's own reader, over the topics that ``detect`` uses.
+_LIBRARY = """
+import sys
+from mcap.reader import make_reader
+with open(sys.argv[1], "rb") as file:
+    reader = make_reader(file, validate_crcs=sys.argv[2] == "checked")
+    for schema, channel, message in reader.iter_messages(topics=sys.argv[3:]):
+        pass
+"""
+_DETECT = """
+import sys
+from capture_sim.cli import main
+assert main(["detect", sys.argv[1], "--scene", "tilt_p10"]) == 0
+"""
+# the peak since the program began; ru_maxrss has that of its parent too
+_OWN_COST = """
+import time
+(peak,) = [line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")]
+print(time.process_time(), int(peak) / 1024)
+"""
+
+
+def _with_cameras(source: Path, path: Path, size: float) -> Path:
+    """Copy a recording with ``size`` GB of noise as images of two cameras, without compression."""
+    image = np.random.default_rng(1).integers(0, 256, _IMAGE, dtype=np.uint8).tobytes()
+    with source.open("rb") as read, path.open("wb") as write:
+        writer = Writer(write, compression=CompressionType.NONE)
+        writer.start(profile="ros2", library="another recorder")
+        schema = writer.register_schema("sensor_msgs/msg/Image", "ros2msg", b"uint8[] data")
+        cameras = [writer.register_channel(f"/camera{k}/image", "cdr", schema) for k in range(2)]
+        stored = list(make_reader(read).iter_messages())
+        channels: dict[str, int] = {}
+        count = int(size * 1e9 / _IMAGE)
+        for k, (known, channel, message) in enumerate(stored):
+            if channel.topic not in channels:
+                schema = writer.register_schema(known.name, known.encoding, known.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", schema)
+            time = message.log_time
+            writer.add_message(channels[channel.topic], time, message.data, time)
+            for i in range(count * k // len(stored), count * (k + 1) // len(stored)):
+                writer.add_message(cameras[i % 2], time, image, time)
+        writer.finish()
+    return path
+
+
+def _cost(code: str, *arguments: str) -> tuple[float, float]:
+    """Return the CPU time, s, and the peak of the memory, MB, of a program in Python."""
+    command = [sys.executable, "-c", code + _OWN_COST, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    seconds, memory = map(float, done.stdout.splitlines()[-1].split())
+    return seconds, memory
+
+
+def size(_: Namespace, folder: Path) -> list[str]:
+    """Evaluate a rig's recording beside images of cameras."""
+    source = dirty.write_mcap(folder / "rig.mcap", dirty.clean("tilt_p10"))
+    used = list(read_bag(source).topics)
+    rows = []
+    for gigabytes in _SIZES:
+        path = _with_cameras(source, folder / "big.mcap", gigabytes)
+        own, memory = _cost(_DETECT, str(path))
+        plain, _ = _cost(_LIBRARY, str(path), "unchecked", *used)
+        checked, _ = _cost(_LIBRARY, str(path), "checked", *used)
+        row = [f"{path.stat().st_size / 1e9:.3f} GB", f"{memory:.0f} MB", f"{own:.2f} s"]
+        rows.append([*row, f"{plain:.2f} s", f"{checked:.2f} s", f"{own / checked:.2f}"])
+    head = ["file", "memory of `detect`", "its CPU time", "`mcap` over the used topics"]
+    head += ["... with checksums", "`detect` / with checksums"]
+    return [table(head, rows)]
 
 
 def live(asked: Namespace, folder: Path) -> list[str]:
@@ -256,7 +331,7 @@ def restitution(asked: Namespace, _: Path) -> list[str]:
 
 
 if __name__ == "__main__":
-    parts = {"write": write, "live": live, "replay": replay, "identify": fit}
+    parts = {"write": write, "size": size, "live": live, "replay": replay, "identify": fit}
     parts["restitution"] = restitution
     write_parts(
         "node_suite",

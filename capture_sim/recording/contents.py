@@ -27,6 +27,8 @@ from capture_sim.recording.scan import scan
 #: Encoding of ROS 2 messages.
 CDR = "cdr"
 
+_KeepMessage = Callable[[bytes | memoryview], None]
+
 
 @dataclass
 class Contents:
@@ -226,7 +228,7 @@ class _Reader:
         self._topics: dict[int, str] = {}  # by channel
         self._schemas: dict[int, Schema] = {}
         # what keeps messages and log times, by channel; those that are left out are discarded
-        self._lists: dict[int, tuple[Callable[[bytes], None], Callable[[int], None]]] = {}
+        self._lists: dict[int, tuple[_KeepMessage, Callable[[int], None]]] = {}
 
     def add(self, record: RecordContents) -> None:
         """Add the entries and messages of a record to the contents."""
@@ -279,8 +281,8 @@ class _Reader:
         assert isinstance(messages, list)
         memory = self._memory
 
-        def keep(message: bytes) -> None:
-            messages.append(message)
+        def keep(message: bytes | memoryview) -> None:
+            messages.append(bytes(message))
             memory.used += len(message) + MESSAGE_COST
 
         self._lists[channel.id] = keep, times.append

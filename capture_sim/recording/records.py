@@ -21,9 +21,9 @@ MESSAGE_COST = 100
 #: Log times from here on (ns) do not fit into ROS's clock.
 TIME_LIMIT = 1 << 63
 
-#: A message: channel, log time (ns), bytes.  The library's ``Message`` takes several times as long
-#: to make.
-StoredMessage = tuple[int, int, bytes]
+#: A message: channel, log time (ns), bytes or a view of those of its chunk.  The library's
+#: ``Message`` takes several times as long to make.
+StoredMessage = tuple[int, int, bytes | memoryview]
 _FIRST_BYTES = frozenset(magic[:1] for magic in MAGICS)
 
 
@@ -75,7 +75,7 @@ def usable(messages: Sequence[StoredMessage], limit: int) -> Usable:
     more than ``limit`` bytes in all; messages that were not compressed do not count.
     """
     times = [message[1] for message in messages]
-    are_plain = _FIRST_BYTES.isdisjoint([message[2][:1] for message in messages])
+    are_plain = _FIRST_BYTES.isdisjoint([bytes(message[2][:1]) for message in messages])
     if are_plain and min(times) >= 0 and max(times) < TIME_LIMIT:
         return Usable(messages, times, (), 0)
     kept: list[StoredMessage] = []
@@ -85,6 +85,7 @@ def usable(messages: Sequence[StoredMessage], limit: int) -> Usable:
         if not 0 <= log_time < TIME_LIMIT:
             rejected.append((channel, f"log time {log_time} ns: must be 0 to 2^63 ns"))
             continue
+        data = bytes(data)
         if is_compressed(data):
             try:
                 data = unpacked(data, limit - total)

@@ -47,6 +47,8 @@ _LONGEST_MAGIC = 16
 
 _HEAD = struct.Struct("<BQ")  # opcode, length
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log and publish time (ns)
+#: Messages from this size on, bytes, are not copied out of their chunk: most are of cameras.
+_LARGE = 1 << 14
 
 #: What parsing of a damaged record may raise.
 _DAMAGE = (
@@ -239,6 +241,7 @@ def _records_in(data: bytes) -> RecordContents:
     definitions: list[Schema | Channel] = []
     messages: list[StoredMessage] = []
     position, end, size = 0, len(data), _MESSAGE.size
+    view = memoryview(data)
     head, message_opcode = _MESSAGE.unpack_from, int(Opcode.MESSAGE)
     kinds = {int(Opcode.SCHEMA): Schema, int(Opcode.CHANNEL): Channel}
     while position < end:
@@ -248,7 +251,7 @@ def _records_in(data: bytes) -> RecordContents:
             position = start + _HEAD.size + length
             if position > end or length < size - _HEAD.size:
                 raise EndOfFile
-            body = data[start + size : position]
+            body = (data if length < _LARGE else view)[start + size : position]
             messages.append((channel, log_time, body))
         else:
             _, length = _HEAD.unpack_from(data, start)
