@@ -168,21 +168,20 @@ class Completeness:
             if publisher not in self._ended
         ]
         for topic, entry in self._topics.items():
+            name = self._name(topic)
             # a stream may begin late without a loss: the reported number is better known
             lost = entry.missing
             if entry.expected is not None:
                 lost = entry.expected - entry.received + entry.out_of_order
             if topic.holds_state:
                 if entry.next_seq < (entry.expected or 0):
-                    lines.append(f"{topic.name}: last message missing")
+                    lines.append(f"{name}: last message missing")
             elif lost > 0:
-                lines.append(f"{topic.name}: {lost} messages missing{_gaps_text(topic, entry)}")
+                lines.append(f"{name}: {lost} messages missing{_gaps_text(topic, entry)}")
             if entry.expected is not None and entry.received > entry.expected:
-                lines.append(
-                    f"{topic.name}: {entry.received} messages received, {entry.expected} sent"
-                )
+                lines.append(f"{name}: {entry.received} messages received, {entry.expected} sent")
             if entry.out_of_order:
-                lines.append(f"{topic.name}: {entry.out_of_order} messages repeated or disordered")
+                lines.append(f"{name}: {entry.out_of_order} messages repeated or disordered")
         return lines
 
 

@@ -47,26 +47,18 @@ def unpacked(data: bytes, limit: int, size: int | None = None) -> bytes:
     ``size`` is the number of bytes that they should unpack to, None if it is not known.  ValueError
     if they unpack to more than ``limit`` bytes or not to ``size``, or if they are damaged.
     """
-    try:
-        if size is None and data.startswith(_ZSTD):
-            known = zstandard.frame_content_size(data)  # -1: it does not say
-            size = known if known >= 0 else None
-        if size is not None and size > limit:
-            raise ValueError(TOO_LARGE)
-        if size is not None and data.startswith(_ZSTD):
-            with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-                found = stream.read(size + 1)
-        elif size is not None and data.startswith(_LZ4):
-            found = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
-        else:
-            out = BytesIO()
-            if reason := unpack(BytesIO(data), out, limit):
-                raise ValueError(reason)
-            return out.getvalue()
+    out = BytesIO()
+    reason = unpack(BytesIO(data), out, limit if size is None else min(size, limit))
+    found = out.getvalue()
+    try:  # -1: its first frame does not say its size
+        least = zstandard.frame_content_size(data) if data.startswith(_ZSTD) else 0
     except DAMAGED as error:
         raise ValueError(str(error)) from None
-    if len(found) != size:
+    is_cut = not reason and len(found) < least
+    if is_cut or (size is not None and (len(found) != size or reason == TOO_LARGE)):
         raise ValueError("it unpacks to another size than its own")
+    if reason:
+        raise ValueError(reason)
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import json
 import math
 import os
 import re
@@ -225,10 +226,18 @@ def _finished(scene: Scene, items: Sequence[tuple[str, Any]]) -> Scene:
 def overrides_of(scene: Scene) -> list[str]:
     """Return the changes that a scene's title lists, each as ``name=value``.
 
-    Long lists are abbreviated there with ``...``; a changed title is not listed.
+    A value that the title abbreviates is given in full; a changed title is not listed.
     """
     _, _, changes = scene.title.partition(_CHANGED)
-    return _NEXT_CHANGE.split(changes.replace(_CHANGED, ", ")) if changes else []
+    texts = _NEXT_CHANGE.split(changes.replace(_CHANGED, ", ")) if changes else []
+    return [_in_full(scene, text) for text in texts]
+
+
+def _in_full(scene: Scene, change: str) -> str:
+    name, _, text = change.partition("=")
+    value = paths.get(scene, name)
+    is_long = "..." in text and isinstance(value, tuple | Checked)
+    return f"{name}={json.dumps(as_mapping(value))}" if is_long else change
 
 
 def overridden_name(scene: Scene) -> str:

@@ -277,7 +277,9 @@ def draw_map(
         label = f"exceeds a limit: {texts}"
         patches.append(Line2D([], [], marker="x", ls="", color=style.BLACK, label=label))
     figure.legend(handles=patches, loc="outside lower center", ncols=6 if columns > 1 else 3)
-    figure.suptitle(f"{title}: {len(table)} runs; contours: peak normal force [N]", fontsize=13)
+    cut = f"; the first {_MAX_PANELS} of {len(pages)} maps" if len(pages) > _MAX_PANELS else ""
+    contours = "contours: peak normal force [N]"
+    figure.suptitle(f"{title}: {len(table)} runs{cut}; {contours}", fontsize=13)
     return figure
 
 

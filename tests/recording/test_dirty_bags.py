@@ -7,8 +7,10 @@ import struct
 from functools import partial
 
 import dirty
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 from rosbags.rosbag2 import Reader
 
 import capture_sim
@@ -197,6 +199,21 @@ def test_compressed_message_that_is_damaged_is_left_out_and_counted(rest, clean,
     assert sum(bag.topics.values()) == len(records) - 1
     (line,) = bag.left_out
     assert line.endswith("messages: damaged compression")
+
+
+@pytest.mark.parametrize("compress", [zstandard.compress, lz4.frame.compress], ids=["zstd", "lz4"])
+def test_message_in_two_joined_frames_is_read_whole(compress, clean, tmp_path):
+    records = list(dirty.clean())
+    data = records[5].data
+    joined = compress(data[:40]) + compress(data[40:])
+    read = [*records[:5], records[5]._replace(data=joined), *records[6:]]
+    bag, plain = (
+        read_bag(dirty.write_mcap(tmp_path / name, each))
+        for name, each in (("joined.mcap", read), ("plain.mcap", records))
+    )
+    topic = records[5].topic
+    assert list(bag.raw(topic)) == list(plain.raw(topic))
+    assert not bag.left_out
 
 
 # joints

@@ -136,6 +136,12 @@ def test_changes_of_a_scene_can_be_made_again():
     again = change_scene(load_scene("tilt_0"), overrides_of(changed))
     assert again == changed
 
+    points = [[1e-4 * k, 1.5 * k] for k in range(60)]
+    changed = load_scene("tilt_0", {"contact.force_table": points, "contact.stiffness": None})
+    assert len(changed.title) < 200
+    again = load_scene("tilt_0", overrides_of(changed))
+    assert again.contact == changed.contact
+
 
 def test_file_extends_and_overrides_reach_every_value(tmp_path):
     path = tmp_path / "mine.yaml"
