@@ -109,7 +109,7 @@ def results() -> str:
             filter(None, [column.group, column.name, column.unit and f"({column.unit})"])
         )
 
-    rows = [(f"`{key}`", unit, in_table(key), text) for key, (unit, text) in KEYS.items()]
+    rows = [(f"`{key}`", unit, in_table(key), text) for key, (unit, text, _) in KEYS.items()]
     loads = [(f"`{load.key}`", load.unit, in_table(load.key), load.meaning) for load in LOADS]
     head = ("key", "unit", "in results.txt", "meaning")
     endings = [

@@ -95,6 +95,16 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
             part.unlink(missing_ok=True)
 
 
+def write_text(path: Path, text: str) -> Path:
+    """Write a text file, which gets its name only when it is complete; return its path.
+
+    Errors are those of :func:`whole_file`.
+    """
+    with whole_file(path) as part:
+        part.write_text(text, encoding="utf-8")
+    return path
+
+
 def discard_parts() -> None:
     """Remove the files of this process that are not complete, before it ends without cleaning."""
     for part in list(_parts):

@@ -10,9 +10,10 @@ from capture_sim.base.exit_status import FAILED
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_experiments, load_all, number, prepare_folder, reader
 from capture_sim.commands.output import IMAGES_MISSING, reported_if_interrupted, warn
-from capture_sim.commands.results_folder import Recorded, ResultsFolder
+from capture_sim.commands.results_folder import ResultsFolder
 from capture_sim.commands.suite import check_ros, run_suite
 from capture_sim.recording.read import read_run
+from capture_sim.recording.results_table import Recorded
 from capture_sim.scene.quantities import REAL_TIME_FACTORS
 
 DESCRIPTION = (

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from capture_sim.base.exit_status import FAILED, INTERRUPTED, OK
+from capture_sim.base.files import write_text
 from capture_sim.base.tables import print_table, table_text
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
@@ -25,7 +26,7 @@ from capture_sim.commands.inputs import (
     open_run,
     prepare_folder,
 )
-from capture_sim.commands.output import Progress, drawing, echo, write_json, write_text
+from capture_sim.commands.output import Progress, drawing, echo, write_json
 from capture_sim.errors import SceneError
 from capture_sim.run.run import Run
 from capture_sim.scene.files import scene_names

@@ -13,9 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from capture_sim.base.files import write_text
 from capture_sim.base.software import own_version
 from capture_sim.base.tables import Section, print_table
-from capture_sim.commands.output import echo, write_json, write_text
+from capture_sim.commands.output import echo, write_json
 from capture_sim.recording.sweep_file import head_of
 from capture_sim.run.loads import LOADS, implausible_stroke
 from capture_sim.scene.parts import Scene

@@ -13,10 +13,11 @@ from typing import NamedTuple
 from capture_sim.base.exit_status import BAD_INPUT, FAILED, OK
 from capture_sim.commands.inputs import add_geometry, add_remaps, open_run, prepare_folder
 from capture_sim.commands.output import echo, warn
-from capture_sim.commands.results_folder import Recorded, ResultsFolder
+from capture_sim.commands.results_folder import ResultsFolder
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.detection.nearest import in_words
 from capture_sim.errors import CaptureSimError, SceneError, one_line
+from capture_sim.recording.results_table import Recorded
 from capture_sim.recording.trial_check import VERDICT_TOLERANCE
 from capture_sim.run.bounds import contact_text
 from capture_sim.run.run import Run, detect

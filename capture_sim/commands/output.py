@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from rich.console import Console
 
-from capture_sim.base.files import discard_parts, whole_file
+from capture_sim.base.files import discard_parts, write_text
 from capture_sim.base.interrupts import end_with_parent
 from capture_sim.errors import CaptureSimError, one_line
 
@@ -113,13 +113,6 @@ class Progress:
             self._said = now
             left = f"{rate}, about {(count - done) / speed:.0f} s left"
             print(f"{name}: {done} of {count} {self._unit}, {left}", file=sys.stderr, flush=True)
-
-
-def write_text(path: Path, text: str) -> Path:
-    """Write a text file, which gets its name only when it is complete; return its path."""
-    with whole_file(path) as part:
-        part.write_text(text, encoding="utf-8")
-    return path
 
 
 def write_json(path: Path, data: Any) -> Path:

@@ -14,7 +14,8 @@ from capture_sim.commands.output import (
     reported_if_interrupted,
     warn,
 )
-from capture_sim.commands.results_folder import Recorded, ResultsFolder
+from capture_sim.commands.results_folder import ResultsFolder
+from capture_sim.recording.results_table import Recorded
 from capture_sim.run.controllers import control_of
 from capture_sim.run.loads import implausible_stroke
 from capture_sim.run.simulation import RunError, simulate

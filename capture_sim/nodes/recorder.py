@@ -14,7 +14,7 @@ from rclpy.serialization import serialize_message
 
 from capture_sim.base.exit_status import RECORDING_IN
 from capture_sim.base.files import writing_problem
-from capture_sim.errors import MessageError, RecordingError, one_line
+from capture_sim.errors import CaptureSimError, MessageError, RecordingError, one_line
 from capture_sim.messages.definitions import learn_type
 from capture_sim.messages.measurements import TOPICS_OF_SOURCE
 from capture_sim.messages.topics import (
@@ -40,6 +40,7 @@ from capture_sim.nodes.protocol.ends import EndKind, RunEnd
 from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
 from capture_sim.nodes.protocol.roll import RunReport
 from capture_sim.recording.live import LiveRecorder, RecordingReport
+from capture_sim.recording.results_table import ResultsTable, row_of
 from capture_sim.recording.trial_check import trial_problems
 
 #: What is recorded later too: the last messages of the participants.
@@ -166,6 +167,7 @@ class RecorderNode(BenchNode, RunPart):
             problems += report.problems
             if run.info.source == RunSource.TRIAL and report.path.exists():
                 problems += trial_problems(report.path)
+                self._tabulate(report.path)
             elif not report.path.exists():
                 problems.append(f"{report.path}: is gone: it was removed while it was written")
             for problem in problems[:1]:
@@ -178,6 +180,17 @@ class RecorderNode(BenchNode, RunPart):
         if self._failure:
             problems.append(self._failure)
         return RunReport(tuple(problems), str(path or ""))
+
+    def _tabulate(self, path: Path) -> None:
+        """Add the trial to results.json and results.txt beside its recording."""
+        try:
+            row = row_of(path)
+            if row is not None:
+                log = self.get_logger()
+                # others may be many, and the launcher waits
+                ResultsTable(path.parent, log.warning).update([row], reads_others=False)
+        except CaptureSimError as error:
+            self.get_logger().warning(f"{path.parent}: the table of trials: {error}")
 
     def cancel(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Leave a run that has not begun or has failed; close the file, if one was opened."""

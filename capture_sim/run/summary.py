@@ -7,7 +7,7 @@ import functools
 import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -106,85 +106,95 @@ def end_and_residual(samples: np.ndarray, rate: float) -> tuple[float, float]:
     return float(samples["t"][-1]), float(np.abs(residual).max(initial=0.0))
 
 
+class _Kind(NamedTuple):
+    """What the value of a key may be, and the value in rows that lack the key."""
+
+    types: type | tuple[type, ...]
+    default: Any
+    text: str
+
+
+_NUMBER = _Kind((int, float), None, "a number or null")
+_TEXT, _NAME = _Kind(str, "", "a text"), _Kind(str, None, "a text or null")
+_FLAG = _Kind(bool, False, "true or false")
+_LINES, _OBJECT = _Kind(list, [], "a list"), _Kind(dict, {}, "an object")
+
+
+class Key(NamedTuple):
+    """A key of a row: the unit and the meaning of its value, and its kind."""
+
+    unit: str
+    meaning: str
+    kind: _Kind = _NUMBER
+
+
 #: Key of a row of ``results.json`` for the file name of the recording; null without a recording.
 RECORDING = "recording"
-#: Unit and meaning of each key, in the order of a row; for the loads see :data:`LOADS`.
+#: The keys in the order of a row; the loads (:data:`LOADS`) follow :data:`NEAREST_ERROR`.
 KEYS = {
-    "name": ("", "run"),
-    "verdict": ("", "the detector's verdict; `null`: nothing to detect with"),
-    "verdict_time": ("s", "begin of the verdict's state, since the release"),
-    "verdict_time_low": ("s", "earliest time at which it may have begun: noise and gaps"),
-    "verdict_time_high": ("s", "latest time at which it may have begun; `null`: none is certain"),
-    "left_again": ("", "true: a captured tip has left the capture zone again"),
-    "not_used": ("", "measurements that the detector did not use"),
-    "problems": ("", "why the run or its recording is incomplete"),
-    "doubts": (
+    "name": Key("", "run", _TEXT),
+    "verdict": Key("", "the detector's verdict; `null`: nothing to detect with", _NAME),
+    "verdict_time": Key("s", "begin of the verdict's state, since the release"),
+    "verdict_time_low": Key("s", "earliest time at which it may have begun: noise and gaps"),
+    "verdict_time_high": Key(
+        "s", "latest time at which it may have begun; `null`: none is certain"
+    ),
+    "left_again": Key("", "true: a captured tip has left the capture zone again", _FLAG),
+    "not_used": Key("", "measurements that the detector did not use", _TEXT),
+    "problems": Key("", "why the run or its recording is incomplete", _LINES),
+    "doubts": Key(
         "",
         "[rules of plausibility](what_your_recording_must_hold.md) that the measurements break",
+        _LINES,
     ),
-    "impact_speed": ("m/s", "speed of the chaser relative to the target at the first touch"),
-    "impact_speed_missing": ("", "why a rig's bag gives no impact speed; empty if it does"),
-    "impact_speed_error": ("m/s", "standard error of `impact_speed`; 0: exact"),
-    "first_contact_time": ("s", "start of the first contact, since the release"),
-    "first_contact_time_low": ("s", "time up to which the measurements exclude it"),
-    "first_contact_time_high": ("s", "time by which they show it"),
-    "first_contact_duration": ("s", "from its first touch to the end of its last one"),
-    "first_contact_touches": ("1", "number of touches in it"),
-    "first_contact_peak_force": ("N", "largest normal force in it"),
-    "first_contact_impulse": ("N s", "normal impulse of its touches"),
-    "touches": ("1", "number of touches in the run"),
-    "normal_impulse": ("N s", "normal impulse of all touches"),
-    NEAREST_ERROR: ("m", "standard error of `nearest_distance`; 0: exact, `null`: noise hides it"),
-    "loads_from": ("", "`integration`, or the samples and their rate"),
-    "energy_residual": ("J", "largest residual of the energy ledger"),
-    "wall_time": ("s", "duration of the computation"),
-    "real_time_factor": ("1", "simulated time over `wall_time`"),
-    "made_by": ("", "scene, overrides, hash, seed and software"),
-    RECORDING: ("", "file of the recording beside the table; `null` without one"),
+    "impact_speed": Key("m/s", "speed of the chaser relative to the target at the first touch"),
+    "impact_speed_missing": Key(
+        "", "why a rig's bag gives no impact speed; empty if it does", _TEXT
+    ),
+    "impact_speed_error": Key("m/s", "standard error of `impact_speed`; 0: exact"),
+    "first_contact_time": Key("s", "start of the first contact, since the release"),
+    "first_contact_time_low": Key("s", "time up to which the measurements exclude it"),
+    "first_contact_time_high": Key("s", "time by which they show it"),
+    "first_contact_duration": Key("s", "from its first touch to the end of its last one"),
+    "first_contact_touches": Key("1", "number of touches in it"),
+    "first_contact_peak_force": Key("N", "largest normal force in it"),
+    "first_contact_impulse": Key("N s", "normal impulse of its touches"),
+    "touches": Key("1", "number of touches in the run"),
+    "normal_impulse": Key("N s", "normal impulse of all touches"),
+    NEAREST_ERROR: Key(
+        "m", "standard error of `nearest_distance`; 0: exact, `null`: noise hides it"
+    ),
+    "loads_from": Key(
+        "", "`integration`, or the samples and their rate", _Kind(str, "integration", "a text")
+    ),
+    "energy_residual": Key("J", "largest residual of the energy ledger"),
+    "wall_time": Key("s", "duration of the computation"),
+    "real_time_factor": Key("1", "simulated time over `wall_time`"),
+    "made_by": Key("", "scene, overrides, hash, seed and software", _OBJECT),
+    RECORDING: Key("", "file of the recording beside the table; `null` without one", _NAME),
 }
 #: Keys of a row that are not results of the run, but describe its file, computation or origin.
 NOT_NUMBERS = {RECORDING, "wall_time", "real_time_factor", "made_by"}
-#: Defaults of the keys that are not numbers, for rows that lack these keys.
-_MISSING: dict[str, Any] = {
-    "verdict": None,
-    "left_again": False,
-    "not_used": "",
-    "problems": [],
-    "doubts": [],
-    "impact_speed_missing": "",
-    "loads_from": "integration",
-    "made_by": {},
-    RECORDING: None,
-}
-#: Keys whose value is a text or null.
-_TEXTS_OR_NULL = ("verdict", RECORDING)
 
 
 def row_from(entry: object, where: str) -> dict[str, Any]:
     """Return a row of ``results.json``, written by any version, with all keys of this version.
 
-    A key that the entry lacks gets its default.  If the entry is not a valid row, ValueError is
-    raised with a message that begins with ``where``.
+    A key that the entry lacks gets its default.  The keys are in the order of :data:`KEYS`; those
+    of a newer version follow.  If the entry is not a valid row, ValueError is raised with a message
+    that begins with ``where``.
     """
     if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
         raise ValueError(f"{where}: name: must be a text")
-    row = {
-        **dict.fromkeys(_number_keys()),
-        **copy.deepcopy(_MISSING),
-        **_with_names_of_today(entry),
-    }
-    for key, value in row.items():
-        default = _MISSING.get(key)
-        if key in _number_keys():
-            is_right = value is None or (
-                isinstance(value, int | float) and not isinstance(value, bool)
-            )
-        elif key in _TEXTS_OR_NULL:
-            is_right = value is None or isinstance(value, str)
-        else:
-            is_right = default is None or isinstance(value, type(default))
-        if not is_right:
-            raise ValueError(f"{where}: {key} = {json.dumps(value)[:40]}: must be {_kind(key)}")
+    kinds = _kinds()
+    defaults = {key: copy.copy(kind.default) for key, kind in kinds.items()}
+    row = {**defaults, **_with_names_of_today(entry)}
+    for key, kind in kinds.items():
+        value = row[key]
+        is_null = value is None and kind.default is None
+        is_right = isinstance(value, kind.types) and isinstance(value, bool) == (kind is _FLAG)
+        if not is_null and not is_right:
+            raise ValueError(f"{where}: {key} = {json.dumps(value)[:40]}: must be {kind.text}")
     return row
 
 
@@ -223,22 +233,13 @@ def row_without_results(name: str, problem: str) -> dict[str, Any]:
     return {**row_from({"name": name}, name), "problems": [problem]}
 
 
-def _kind(key: str) -> str:
-    default = "" if key in _TEXTS_OR_NULL else _MISSING.get(key)
-    kinds = {str: "a text", bool: "true or false", list: "a list", dict: "an object"}
-    text = kinds.get(type(default), "a number")
-    return f"{text} or null" if text == "a number" or key in _TEXTS_OR_NULL else text
-
-
 @functools.cache
-def _number_keys() -> frozenset[str]:
-    """Return the keys of a row whose value is a number or null."""
-    of_runs = {
-        *("impact_speed", "first_contact_time", "first_contact_duration", "energy_residual"),
-        *("first_contact_touches", "first_contact_peak_force", "normal_impulse"),
-        *("wall_time", "real_time_factor", NEAREST_ERROR, "impact_speed_error"),
-        *("verdict_time", "verdict_time_low", "verdict_time_high"),
-        *("first_contact_time_low", "first_contact_time_high"),
-    }
-    nothing = Extremes(np.zeros(1, EXTREMES)[0], None)
-    return frozenset(of_runs | loads_of(nothing, np.zeros(0, TOUCH)).keys())
+def _kinds() -> dict[str, _Kind]:
+    """Return the kind of each key of a row, in the order of a row."""
+    kinds: dict[str, _Kind] = {}
+    for key, (_, _, kind) in KEYS.items():
+        kinds[key] = kind
+        if key == NEAREST_ERROR:
+            nothing = Extremes(np.zeros(1, EXTREMES)[0], None)
+            kinds |= dict.fromkeys(loads_of(nothing, np.zeros(0, TOUCH)), _NUMBER)
+    return kinds

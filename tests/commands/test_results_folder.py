@@ -16,7 +16,7 @@ from capture_sim.commands.results_folder import SHOWN, Recorded, ResultsFolder
 from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
-from capture_sim.run.summary import NOT_NUMBERS
+from capture_sim.run.summary import KEYS, NOT_NUMBERS
 
 SHORT = {"run.t_end": 0.05}
 
@@ -47,6 +47,8 @@ def checked(folder):
     foreign = {name for name in recordings if f"did not record it: {name}." in text}
     assert sorted(listed) == sorted(recordings - foreign)
     for row in rows:
+        assert [key for key in row if key in KEYS] == list(KEYS)
+        assert [key for key in row if key in rows[0]] == [key for key in rows[0] if key in row]
         name = (row["recording"] or row["name"]).removesuffix(".mcap")
         assert f"\n{name} " in text
         if row["recording"] and not row["problems"]:

@@ -4,6 +4,7 @@ What disturbed sensors do to the verdict is in tests/trial/test_disturbed_trials
 a trial in tests/trial/test_trial.py, both on a simulated clock.
 """
 
+import json
 import math
 import re
 
@@ -60,6 +61,11 @@ def test_a_session_of_trials(start, client, tmp_path, capfd):
             run = read_bag(result.recording)
             assert run.problems == ()
             assert run.log_times(CHASER_POSE)[0] >= run.log_times(RUN_INFO)[0]
+    rows = json.loads((tmp_path / "results.json").read_text())
+    assert [(row["recording"], row["verdict"]) for row in rows] == [
+        (f"c_{outcome}.mcap", outcome) for outcome in OUTCOMES
+    ]
+    assert len((tmp_path / "results.txt").read_text().splitlines()) >= len(OUTCOMES)
 
 
 # S1: only a goal releases
