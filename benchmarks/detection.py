@@ -200,6 +200,8 @@ def injections(asked, _):
     ]
 
 
+#: Loads whose bounds are compared with those of the run itself.
+_PEAKS = ("max_axial_stroke_in", "max_axial_stroke_out", "max_torsion")
 #: Scenes of the recordings with drawn faults.
 _RIGS = ("tilt_0", "tilt_p10", "tilt_m10")
 
@@ -249,18 +251,18 @@ def drawn(rng, *, has_faults=True, has_latency=True):
 
 @functools.lru_cache(4)
 def exact_contact(scene, changes, seed):
-    """Return the first contact and the begin of the verdict's state of a run, s."""
+    """Return the first contact and the begin of the verdict's state of a run, s, and its loads."""
     sensors = ("sensors.motion_capture={}", "sensors.load_cell={}", f"sensors.seed={seed}")
     run = simulate(scene, [*sensors, *changes])
     last = detect_state(run.samples, run.scene, is_cut=False)[-1]
-    return float(run.touches["start"].min()), last.t - last.time_in_state, last.state
+    return float(run.touches["start"].min()), last.t - last.time_in_state, last.state, run.loads
 
 
 def bound(k, *, has_latency=True):
-    """Return what the bounds of a drawn recording are worth: faults, and both times' results."""
+    """Return what the bounds of a drawn recording are worth: faults, both times, loads."""
     rng = np.random.default_rng([71, k])
     scene, changes, seed, records, names = drawn(rng, has_latency=has_latency)
-    contact, since, state = exact_contact(scene, changes, seed)
+    contact, since, state, loads = exact_contact(scene, changes, seed)
     with TemporaryDirectory() as folder:
         path = dirty.write_mcap(Path(folder) / "rig.mcap", records)
         run = read_run(path, scene=load_scene(scene, list(changes)), release=None)
@@ -271,16 +273,22 @@ def bound(k, *, has_latency=True):
             low, high = bounds.low + begin, bounds.high + begin
             slack = 1e-6
             first = (low - slack <= contact <= high + slack, low, high, contact)
+        peaks = [
+            (low <= loads[key] <= high, low, high, loads[key], key)
+            for key, (low, high, _) in (run.load_bounds or {}).items()
+            if key in _PEAKS
+        ]
         try:
             last = detect(run)[-1]
         except RecordingError as error:
-            return names, first, str(error)[:160]
+            return names, first, str(error)[:160], peaks
         high = last.t - last.time_in_state + begin
         low, high = high - last.may_precede, high + last.may_follow
         verdict = None
         if last.state is state and state.is_verdict:
             verdict = (low <= since <= high, low, high, since)
-        return names, first, verdict if verdict else f"{last.state.label}, not {state.label}"
+        verdict = verdict if verdict else f"{last.state.label}, not {state.label}"
+        return names, first, verdict, peaks
 
 
 def alarms(k):
@@ -312,11 +320,16 @@ def bounds(asked, _):
             inside = sum(found[0] for found in known)
             width = float(np.median([found[2] - found[1] for found in known])) if known else np.nan
             row += [f"{inside} of {len(known)}", f"{1e3 * width:.3g}"]
-        rows.append(row)
-    for names, first, verdict in answers:
+        peaks = [peak for answer in mine for peak in answer[3]]
+        closed = [(high - low) / true for _, low, high, true, _ in peaks if math.isfinite(high)]
+        row.append(f"{sum(peak[0] for peak in peaks)} of {len(peaks)}")
+        rows.append([*row, str(len(closed)), f"{np.median(closed):.1%}" if closed else "-"])
+    for names, first, verdict, peaks in answers:
         if first is None or not first[0] or not isinstance(verdict, tuple) or not verdict[0]:
             print(names, first, verdict)
+        print(*(f"{names} {peak}\n" for peak in peaks if not peak[0]), sep="", end="")
     head = ["fault", "recordings", "contact inside", "width ms", "verdict inside", "width ms"]
+    head += ["strokes, torsion inside", "with both bounds", "width / truth"]
     return [
         f"{asked.bounds} recordings of the experiments with drawn speeds, rates, noise and faults:",
         "",

@@ -111,10 +111,12 @@ def results() -> str:
 
     rows = [(f"`{key}`", unit, in_table(key), text) for key, (unit, text, _) in KEYS.items()]
     loads = [(f"`{load.key}`", load.unit, in_table(load.key), load.meaning) for load in LOADS]
+    measured = ", ".join(f"`{load.key}`" for load in LOADS if load.is_measured)
     head = ("key", "unit", "in results.txt", "meaning")
     endings = [
         ("none, `_time`", "value of the whole run, and its time (s since the release)"),
         ("`_before_latch`, `_before_latch_time`", "value until the latch closes, and its time"),
+        ("`_low`, `_high`", f"bounds in the whole run, of {measured}; `null`: not known"),
     ]
     return "\n".join(
         [

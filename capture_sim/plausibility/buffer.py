@@ -10,7 +10,7 @@ import numpy as np
 from capture_sim.plausibility.momentum import first_change, spring_ratio
 from capture_sim.plausibility.motion import N_SMOOTH, MeasuredMotion
 from capture_sim.plausibility.rules import Grade, Said, rule
-from capture_sim.plausibility.signals import smooth, zero_text
+from capture_sim.plausibility.signals import AWAY, smooth, zero_text
 
 #: Least depth of the tip in a wall that contradicts the buffer, m.  Errors of the base frames and
 #: noise make up to about 2 mm.
@@ -129,9 +129,13 @@ def _deepest(motion: MeasuredMotion, stroke: np.ndarray, torsion: np.ndarray) ->
     needs=("scene", "poses", "buffer"),
 )
 def buffer_zero(motion: MeasuredMotion) -> Iterator[Said]:
-    """Yield a finding if the encoders of the buffer are not at 0 while it is at rest."""
-    if motion.buffer is not None and (text := zero_text(motion.zero)):
-        yield Said(motion.buffer.topic, text, zero=motion.zero)
+    """Yield a finding if the encoders of the buffer are not at 0 at rest, or if it never rests."""
+    assert motion.buffer is not None
+    if text := zero_text(motion.zero):
+        yield Said(motion.buffer.topic, text)
+    elif not np.isfinite(motion.zero_error).all() and motion.stiff_gap[:1].min(initial=1.0) < AWAY:
+        text = "no state at rest before the contact: the zero is not known and counts as 0"
+        yield Said(motion.buffer.topic, text)
 
 
 #: Likely cause of each kind of a contradiction, and what to do.

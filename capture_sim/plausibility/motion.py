@@ -13,7 +13,16 @@ import numpy as np
 
 from capture_sim.plausibility.axes import FORCE_FRAMES, frame_of
 from capture_sim.plausibility.measured import Deflections, Forces, Measured, Poses
-from capture_sim.plausibility.signals import AWAY, baseline, noise, onset, smooth, zero_of
+from capture_sim.plausibility.signals import (
+    AWAY,
+    MIN_REST,
+    baseline,
+    noise,
+    onset,
+    rest_of,
+    smooth,
+    zero_of,
+)
 from capture_sim.scene.parts import Scene
 
 #: Values are interpolated only between measurements that are at most this far apart, s.
@@ -179,8 +188,30 @@ class MeasuredMotion:
 
         See :func:`capture_sim.plausibility.signals.zero_of`.  0 without a scene or poses.
         """
-        if self.buffer is None or self.scene is None or self.pair is None:
+        if self.scene is None:
             return 0.0, 0.0
+        return zero_of(self._at_rest, self.scene.rest_length)
+
+    @cached_property
+    def zero_error(self) -> np.ndarray:
+        """Largest plausible error that :attr:`zero` leaves in stroke (m) and torsion (rad), (2,).
+
+        It is three standard errors, and a zero too small to be taken out; infinite if there are too
+        few states at rest.
+        """
+        if len(self._at_rest) < MIN_REST:
+            return np.full(2, np.inf)
+        middle, errors = rest_of(self._at_rest)
+        return np.abs(middle - self.zero) + 3.0 * errors
+
+    @cached_property
+    def _at_rest(self) -> np.ndarray:
+        """Strokes and torsions while the tip is ahead of the cone's mouth in the approach, (n, 2).
+
+        (0, 2) without a scene, poses or a buffer.
+        """
+        if self.buffer is None or self.scene is None or self.pair is None:
+            return np.zeros((0, 2))
         kept = self.buffer.is_measured
         t, values = self.buffer.t[kept], self.buffer.values[kept]
         order = np.argsort(t, kind="stable")
@@ -188,9 +219,7 @@ class MeasuredMotion:
         nothing = np.zeros(len(self.pair.t))
         ahead = np.interp(t, self.pair.t, self._tip(nothing, nothing)[0])
         before = (t >= self.pair.t[0]) & (t <= self.pair.t[self.approach][-1])
-        return zero_of(
-            values[before & (ahead > self.scene.cone.mouth + AWAY)], self.scene.rest_length
-        )
+        return np.asarray(values[before & (ahead > self.scene.cone.mouth + AWAY)])
 
     def depth(self, stroke: np.ndarray, torsion: np.ndarray) -> np.ndarray:
         """Return the depth of the tip in a wall, (n,), m, the larger of those in both walls.

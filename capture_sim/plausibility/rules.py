@@ -28,7 +28,6 @@ class Said(NamedTuple):
     topic: str  # or two topics, joined by " and "
     text: str  # value, unit, expectation, and what to do
     messages: int | None = None  # number of messages concerned; None: all of the topic
-    zero: tuple[float, float] = (0.0, 0.0)  # of stroke (m) and torsion (rad), to be subtracted
     grade: Grade | None = None  # None: the rule's
 
 
@@ -56,7 +55,6 @@ class Doubt:
     topic: str  # whose messages are doubted; or two topics, joined by " and "
     text: str  # value, unit, expectation, and what to do
     messages: int | None = None  # number of messages concerned; None: all of the topic
-    zero: tuple[float, float] = (0.0, 0.0)  # of stroke (m) and torsion (rad), to be subtracted
     of_size: Grade | None = None  # grade by the size of the fault; None: that of the rule
 
     @property

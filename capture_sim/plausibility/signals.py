@@ -108,14 +108,24 @@ def zero_of(
     """
     if len(deflections) < MIN_REST:
         return 0.0, 0.0
+    middle, errors = rest_of(deflections)
+    limit = np.maximum(5.0 * errors, [MIN_ZERO, MIN_ZERO / length])
+    stroke, torsion = np.where(np.abs(middle) > limit, middle, 0.0).tolist()
+    return stroke, torsion
+
+
+def rest_of(
+    deflections: Sequence[tuple[float, float]] | np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the medians of the newest deflections at rest, (2,), and their standard errors, (2,).
+
+    There must be one deflection at least; see :func:`zero_of`.
+    """
     values = np.array(deflections[-N_REST:])
     middle = np.median(values, axis=0)
     # of a median of normal noise; the deviation is robust too
     deviation = 1.4826 * np.median(np.abs(values - middle), axis=0)
-    errors = 1.2533 * deviation / math.sqrt(len(values))
-    limit = np.maximum(5.0 * errors, [MIN_ZERO, MIN_ZERO / length])
-    stroke, torsion = np.where(np.abs(middle) > limit, middle, 0.0).tolist()
-    return stroke, torsion
+    return middle, 1.2533 * deviation / math.sqrt(len(values))
 
 
 def zero_text(zero: tuple[float, float]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from itertools import repeat
@@ -17,6 +17,7 @@ from capture_sim.messages import topics
 from capture_sim.messages.measurements import DetectorInput
 from capture_sim.messages.topics import Topic
 from capture_sim.plausibility.axes import FORCE_FRAMES, frame_of
+from capture_sim.plausibility.motion import MeasuredMotion
 from capture_sim.recording.bag import Bag
 from capture_sim.run.lazy import Deferred, LazyMapping
 from capture_sim.run.series import NO_SERIES, QUANTITIES, Series, SeriesBySource, series_in
@@ -91,6 +92,28 @@ def series_of(bag: Bag) -> SeriesBySource:
     if bag.holds(topics.CAPTURE_STATUS):
         add("distance", topics.CAPTURE_STATUS, partial(_distances, bag))
     return {quantity: LazyMapping(sources) for quantity, sources in makers.items()}
+
+
+def without_zero(series: SeriesBySource, motion: Deferred[MeasuredMotion | None]) -> SeriesBySource:
+    """Return series with the zero of the buffer taken out, see :attr:`MeasuredMotion.zero`.
+
+    ``motion`` has that buffer; it is used when stroke or torsion are.
+    """
+    changed = dict(series)
+    for k, quantity in enumerate(("stroke", "torsion")):
+        if sources := series.get(quantity):
+            makers = {name: partial(_less_zero, sources, name, motion, k) for name in sources}
+            changed[quantity] = LazyMapping(makers)
+    return changed
+
+
+def _less_zero(
+    sources: Mapping[str, Series], name: str, of: Deferred[MeasuredMotion | None], k: int
+) -> Series:
+    found, motion = sources[name], of.value
+    if motion is None or motion.buffer is None or motion.buffer.topic.lstrip("/") != name:
+        return found
+    return found._replace(values=found.values - motion.zero[k]) if motion.zero[k] else found
 
 
 def commanded_launch(bag: Bag, scene: Scene | None) -> LaunchPlan | None:

@@ -19,6 +19,7 @@ from capture_sim.messages.topics import (
     CONTACT_TRACE,
 )
 from capture_sim.plausibility.measured import Measured
+from capture_sim.plausibility.motion import MeasuredMotion
 from capture_sim.recording.bag import Bag, read_bag
 from capture_sim.recording.evidence import evidence_in
 from capture_sim.recording.export import tables_of
@@ -27,10 +28,13 @@ from capture_sim.recording.measurements import (
     live_conditions,
     received_in,
     series_of,
+    without_zero,
 )
 from capture_sim.run.given import Given
+from capture_sim.run.lazy import Deferred
 from capture_sim.run.origin import Origin
 from capture_sim.run.run import ExactRun, MeasuredRun, Run
+from capture_sim.run.series import SeriesBySource
 from capture_sim.run.verdict import LiveConditions, Received
 from capture_sim.scene.launch_plan import LaunchPlan
 from capture_sim.scene.parts import Detector, Scene
@@ -115,8 +119,16 @@ class GivenByBag(Given):
     """
 
     def __init__(self, bag: Bag, scene: Scene | None) -> None:
-        super().__init__(scene=scene, series=series_of(bag), tables=tables_of(bag))
+        super().__init__(scene=scene, tables=tables_of(bag))
         self._bag = bag
+
+    @cached_property
+    def series(self) -> SeriesBySource:
+        """Series by quantity and source; the zero of a rig's buffer at rest is taken out."""
+        return without_zero(series_of(self._bag), Deferred(self._motion))
+
+    def _motion(self) -> MeasuredMotion | None:
+        return MeasuredMotion(self.evidence[0], self.scene) if self.evidence else None
 
     @cached_property
     def samples(self) -> np.ndarray:

@@ -18,8 +18,8 @@ from capture_sim.plausibility.signals import noise
 
 #: Base frames may be off by this, m, so poses exclude a contact only at a larger gap.
 _FRAMES = 5e-3
-#: Standard deviations of a single pose that are added to it.
-_DEVIATIONS = 3.0
+#: Standard deviations of a single measurement by which it may be wrong.
+DEVIATIONS = 3.0
 #: Samples that are further apart than this, s, and than three of their intervals, have a hole.
 HOLE = 0.05
 #: A tip that is away from the walls before and after a hole has not met them in it if it had to be
@@ -30,6 +30,11 @@ _FASTER = 2.0
 _FREE, _SHARE = 0.5, 1.2
 #: Least deflection that may be a contact, m.
 _LEAST = 2e-5
+#: Between two samples a signal may rise above both by this share of its second difference; it is
+#: an eighth in a parabola.
+_UNSEEN = 0.5
+#: Share of a peak that may be unseen, from which on nothing is known of it.
+_UNRESOLVED = 0.5
 
 
 class Bounds(NamedTuple):
@@ -66,6 +71,35 @@ class Bounds(NamedTuple):
         return f"{value:.3f} s ({self.low:.3f} to {self.high:.3f})"
 
 
+UNKNOWN = Bounds(-math.inf, math.inf)
+
+
+def peak_bounds(
+    t: np.ndarray, values: np.ndarray, begin: float, end: float, error: float
+) -> Bounds:
+    """Return the bounds of the peak of a signal that is sampled at times ``t`` (n,), s, ascending.
+
+    The signal ``values`` (n,) is not negative at its peak.  A larger peak may be hidden where there
+    is no sample for longer than :data:`HOLE` between ``begin`` and ``end``, s, and where the signal
+    rises and falls within a few samples.  ``error`` is that of the signal's zero.
+    """
+    if len(t) < MIN_MESSAGES:
+        return UNKNOWN._replace(why="no data")
+    if math.isinf(error):
+        return UNKNOWN._replace(why="the sensor's zero is not known")
+    peak, deviation = float(values.max()), DEVIATIONS * noise(values) + error
+    low = max(peak - deviation, 0.0)
+    is_open = ~_steps(t) & (t[1:] > begin) & (t[:-1] < end)
+    if is_open.any() or t[0] > begin + HOLE or t[-1] < end - HOLE:
+        return Bounds(low, math.inf, "no data")
+    bend = np.pad(np.abs(np.diff(values, n=2)), 1)
+    tops = np.maximum(values[:-1], values[1:]) + _UNSEEN * np.maximum(bend[:-1], bend[1:])
+    high = float(tops.max()) + deviation
+    if high - peak > _UNRESOLVED * peak + deviation:
+        return Bounds(low, math.inf, "samples too far apart")
+    return Bounds(low, high)
+
+
 def contact_text(first: tuple[float, str] | None, bounds: Bounds | None) -> str:
     """Return the time of a first contact, its source and its bounds in words."""
     if bounds is None:
@@ -83,7 +117,7 @@ def contact_bounds(motion: MeasuredMotion, shown: Iterable[float] = ()) -> Bound
     if motion.scene is None or motion.pair is None or len(motion.smooth_times) < MIN_MESSAGES:
         return None
     t = motion.smooth_times
-    margin = _FRAMES + _DEVIATIONS * motion.pose_noise
+    margin = _FRAMES + DEVIATIONS * motion.pose_noise
     low = least = float(t[0])
     end = float(t[-1])
     if motion.stiff_gap[0] <= margin:

@@ -37,11 +37,8 @@ def refuse(where: str, doubts: Sequence[Doubt]) -> None:
 def remaining(series: SeriesBySource, doubts: Sequence[Doubt]) -> SeriesBySource:
     """Return series without the topics that doubts exclude, see ``Doubt.leaves_out_topic``.
 
-    Quantities without any remaining topic are removed.  A zero of the buffer (``Doubt.zero``) is
-    subtracted; only then, the series of stroke and torsion are decoded.
+    Quantities without any remaining topic are removed.
     """
-    for doubt in doubts:
-        series = _from_zero(series, doubt.topic.lstrip("/"), doubt.zero)
     topics = {
         topic.lstrip("/")
         for doubt in doubts
@@ -57,18 +54,6 @@ def remaining(series: SeriesBySource, doubts: Sequence[Doubt]) -> SeriesBySource
         for quantity, sources in series.items()
     }
     return {quantity: sources for quantity, sources in kept.items() if sources}
-
-
-def _from_zero(series: SeriesBySource, topic: str, zero: tuple[float, float]) -> SeriesBySource:
-    changed = dict(series)
-    for quantity, offset in zip(("stroke", "torsion"), zero, strict=True):
-        if offset and topic in series.get(quantity, {}):
-            found = series[quantity][topic]
-            changed[quantity] = {
-                **series[quantity],
-                topic: found._replace(values=found.values - offset),
-            }
-    return changed
 
 
 def examined(

@@ -6,7 +6,7 @@ import copy
 import functools
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,9 @@ from capture_sim.detection.criteria import Criteria
 from capture_sim.dynamics.model.equations import stop_force, tip_in_cone
 from capture_sim.dynamics.model.parameters import pack
 from capture_sim.dynamics.samples import EXTREMES, Event, EventKind, Extremes
+from capture_sim.run.bounds import UNKNOWN, Bounds
 from capture_sim.run.first_contact import first_cluster
+from capture_sim.run.series import Series
 from capture_sim.scene.parts import Scene
 
 
@@ -30,13 +32,26 @@ class Load(NamedTuple):
     factor: float  # from unit to shown_in
     extremes: tuple[str, ...]  # fields of EXTREMES; the load is the peak over all of them
     least: bool = False  # True: the load is the minimum, not the maximum
+    is_measured: bool = False  # True: a rig has a sensor of it, so that its bounds are known
 
 
 #: Reported loads of a run; :func:`loads_of` returns up to four keys for each.
 LOADS = (
-    Load("max_axial_stroke_in", "stroke inwards", "m", "mm", 1e3, ("axial_stroke_in",)),
-    Load("max_axial_stroke_out", "stroke outwards", "m", "mm", 1e3, ("axial_stroke_out",)),
-    Load("max_torsion", "torsion", "rad", "mrad", 1e3, ("torsion",)),
+    Load(
+        "max_axial_stroke_in",
+        "stroke inwards",
+        *("m", "mm", 1e3),
+        ("axial_stroke_in",),
+        is_measured=True,
+    ),
+    Load(
+        "max_axial_stroke_out",
+        "stroke outwards",
+        *("m", "mm", 1e3),
+        ("axial_stroke_out",),
+        is_measured=True,
+    ),
+    Load("max_torsion", "torsion", "rad", "mrad", 1e3, ("torsion",), is_measured=True),
     Load("max_buffer_force", "force of the buffer", "N", "N", 1.0, ("buffer_force",)),
     Load("max_buffer_torque", "torque of the buffer", "N m", "N m", 1.0, ("buffer_torque",)),
     Load(
@@ -44,6 +59,7 @@ LOADS = (
         "peak normal force",
         *("N", "N", 1.0),
         ("normal_force_plus_y", "normal_force_minus_y"),
+        is_measured=True,
     ),
     Load(
         "max_normal_force_plus_y",
@@ -98,6 +114,24 @@ def loads_of(extremes: Extremes, touches: np.ndarray) -> dict[str, Any]:
     loads["touches"] = int(touches.size)
     loads["first_contact_impulse"] = if_measured(first_cluster(touches)["impulse"].sum())
     return loads
+
+
+def bounds_of_loads(
+    loads: Mapping[str, Any], bounds: Mapping[str, Bounds] | None
+) -> dict[str, float | None]:
+    """Return the keys of a summary for the bounds of loads; None where a bound is not known.
+
+    ``bounds`` are those of a measured run by the key of the load, see :func:`peak_bounds`; None for
+    loads that are exact, which are their own bounds.
+    """
+    found: dict[str, float | None] = {}
+    for key in (load.key for load in LOADS if load.is_measured):
+        if bounds is None:
+            low = high = loads[key]
+        else:
+            low, high = map(if_measured, bounds.get(key, UNKNOWN)[:2])
+        found[f"{key}_low"], found[f"{key}_high"] = low, high
+    return found
 
 
 #: Key of the standard error of the closest approach in results.
@@ -184,14 +218,19 @@ def implausible_stroke(scene: Scene, stroke: float | None) -> str:
 
 
 def sampled_extremes(
-    scene: Scene, samples: np.ndarray, touches: np.ndarray, events: Iterable[Event]
+    scene: Scene,
+    samples: np.ndarray,
+    touches: np.ndarray,
+    events: Iterable[Event],
+    buffer: Mapping[str, Series] | None = None,
 ) -> Extremes:
     """Return the extremes of a run from its samples, touches and events.
 
     This is for runs without extremes from the integrator.  Peak forces of touches come from
     ``touches``.  The latch's force at its closing is computed from the state of the LATCHED event.
-    All other peaks come from the samples, so peaks between two samples are missed.  A quantity that
-    was not measured is NaN.
+    Peaks of the quantities in ``buffer`` (``stroke``, ``torsion``) come from these series, all
+    others from the samples, so peaks between two samples are missed.  A quantity that was not
+    measured is NaN.
     """
     latched = next((event for event in events if event.kind is EventKind.LATCHED), None)
     latch_time = math.inf if latched is None else latched.t
@@ -199,13 +238,25 @@ def sampled_extremes(
     is_before = touches["start"] < latch_time
     touches_of_part = touches[is_before], touches[~is_before]
     extremes = np.zeros(2, EXTREMES)
+    begin, end = samples["t"][[0, -1]] if samples.size else (0.0, 0.0)
+
+    def signal(name: str, field: str, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if buffer is None:
+            return part["t"], part[field]
+        t, values, _ = buffer[name]
+        in_part = (t < latch_time) == (part is parts[0])
+        kept = (t >= begin) & (t <= end) & in_part
+        return t[kept], values[kept]
+
     for row, part, part_touches in zip(extremes, parts, touches_of_part, strict=True):
+        stroke = signal("stroke", "axial_stroke", part)
+        torsion = signal("torsion", "torsion", part)
         # a latched tip does not press on the walls
         penetration = np.where(part["normal_force"] > 0.0, part["penetration"], 0.0)
         series = [
-            ("axial_stroke_in", part["t"], np.maximum(-part["axial_stroke"], 0.0)),
-            ("axial_stroke_out", part["t"], np.maximum(part["axial_stroke"], 0.0)),
-            ("torsion", part["t"], np.abs(part["torsion"])),
+            ("axial_stroke_in", stroke[0], np.maximum(-stroke[1], 0.0)),
+            ("axial_stroke_out", stroke[0], np.maximum(stroke[1], 0.0)),
+            ("torsion", torsion[0], np.abs(torsion[1])),
             ("buffer_force", part["t"], np.abs(part["axial_force"] + _stop_force(scene, part))),
             ("buffer_torque", part["t"], np.abs(part["torsion_torque"])),
             ("latch_force", part["t"], np.linalg.norm(part["latch_force"], axis=1)),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import html
 import importlib
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -21,12 +22,18 @@ from capture_sim.dynamics.samples import ENERGIES, Event, EventKind, Extremes
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.plausibility.motion import MIN_DEFLECTION, MeasuredMotion
 from capture_sim.plausibility.rules import Doubt, Grade, Unapplied
-from capture_sim.plausibility.signals import onset
-from capture_sim.run.bounds import Bounds, contact_bounds, speed_error
+from capture_sim.plausibility.signals import noise, onset
+from capture_sim.run.bounds import DEVIATIONS, Bounds, contact_bounds, peak_bounds, speed_error
 from capture_sim.run.doubts import CountedSeries, examined, refuse, remaining
 from capture_sim.run.frames import Table, events_frame, samples_frame, topic_frame, touches_frame
 from capture_sim.run.given import Given, Integrated
-from capture_sim.run.loads import if_measured, loads_of, sampled_extremes, with_closest
+from capture_sim.run.loads import (
+    bounds_of_loads,
+    if_measured,
+    loads_of,
+    sampled_extremes,
+    with_closest,
+)
 from capture_sim.run.origin import Origin, scene_origin
 from capture_sim.run.reconstruction import (
     RATE_WINDOW,
@@ -433,7 +440,8 @@ class Run(ABC):
         """Peak loads: located by the integrator, else from samples, touches and events."""
         if self.given.extremes is not None:
             return self.given.extremes
-        return sampled_extremes(self.scene, self.samples, self.touches, self.events)
+        buffer = None if self.is_exact else {q: self.measured(q) for q in ("stroke", "torsion")}
+        return sampled_extremes(self.scene, self.samples, self.touches, self.events, buffer)
 
     @cached_property
     def loads(self) -> dict[str, Any]:
@@ -450,6 +458,35 @@ class Run(ABC):
         if last.nearest_deviation == 0.0:
             return loads
         return with_closest(loads, last.nearest_distance, last.nearest_deviation)
+
+    @cached_property
+    def load_bounds(self) -> dict[str, Bounds] | None:
+        """Bounds of the measured loads, by name, SI units; None if the loads are exact.
+
+        They are those of stroke, torsion and normal force over the whole run.  The force has no
+        upper one: a touch of metal lasts less than a sensor's rise time.
+        """
+        if self.given.extremes is not None:
+            return None
+        if self._motion is None:  # samples of a simulated run, or nothing to measure against
+            return {}
+        contact, chaser = self.contact_bounds, self.measured("chaser").t
+        end = float(chaser[-1])
+        begin = math.inf if contact is None else contact.low
+        stroke, torsion, force = (self.measured(q) for q in ("stroke", "torsion", "tip_force"))
+        force = force if force.t.size else self.measured("cone_force")
+        found = {}
+        for key, t, values, error in (
+            ("max_axial_stroke_in", stroke.t, -stroke.values, self._motion.zero_error[0]),
+            ("max_axial_stroke_out", stroke.t, stroke.values, self._motion.zero_error[0]),
+            ("max_torsion", torsion.t, np.abs(torsion.values), self._motion.zero_error[1]),
+        ):
+            kept = (t >= chaser[0]) & (t <= end)
+            found[key] = peak_bounds(t[kept], values[kept], begin, end, float(error))
+        if force.t.size:
+            low = self.loads["max_normal_force"] - DEVIATIONS * max(map(noise, force.values.T))
+            found["max_normal_force"] = Bounds(max(low, 0.0), math.inf)
+        return found
 
     @property
     def verdict(self) -> str:
@@ -468,9 +505,8 @@ class Run(ABC):
             self.events,
             self.statuses[-1] if self.statuses else None,
             self.loads,
-            loads_from="integration"
-            if self.given.extremes is not None
-            else f"samples at {sample_rate(self.samples):.4g} Hz",
+            loads_from="integration" if self.given.extremes is not None else self._loads_from,
+            load_bounds=bounds_of_loads(self.loads, self.load_bounds),
             energy_residual=known.energy_residual,
             simulated=known.t_end,
             wall_time=self.wall_time,
@@ -478,8 +514,15 @@ class Run(ABC):
             made_by=self.made_by,
             doubts=[doubt.line for doubt in self.doubts],
             contact=self._contact_summary(),
+            is_first_contact_seen=self.contact_bounds is None or not self.contact_bounds.why,
             speed_error=0.0 if self._motion is None else speed_error(self._motion, RATE_WINDOW),
         )
+
+    @property
+    def _loads_from(self) -> str:
+        text = f"samples at {sample_rate(self.samples):.4g} Hz"
+        rate = 0.0 if self.is_exact else self.measured("stroke").rate
+        return f"{text}, of the buffer at {rate:.4g} Hz" if rate else text
 
     def _contact_summary(self) -> tuple[float | None, float | None, float | None] | None:
         """Return time and bounds of the first contact of a measured run; None if it is exact."""

@@ -14,7 +14,7 @@ import numpy as np
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.dynamics.samples import EXTREMES, TOUCH, Event, Extremes
 from capture_sim.run.first_contact import first_cluster, first_touch, impact_speed
-from capture_sim.run.loads import NEAREST_ERROR, if_measured, loads_of
+from capture_sim.run.loads import NEAREST_ERROR, bounds_of_loads, if_measured, loads_of
 from capture_sim.run.series import at_rate
 
 
@@ -33,7 +33,9 @@ def summarize(
     made_by: Mapping[str, Any] | None = None,
     doubts: Sequence[str] = (),
     contact: tuple[float | None, float | None, float | None] | None = None,
+    is_first_contact_seen: bool = True,
     speed_error: float = 0.0,
+    load_bounds: Mapping[str, float | None] | None = None,
 ) -> dict[str, Any]:
     """Return the main results of a run by the keys of results.json, SI units.
 
@@ -46,11 +48,14 @@ def summarize(
     duration of its computation, s.  ``problems`` are the reasons why the run or its recording is
     incomplete, which may affect every result.  ``made_by`` is the provenance of the run, see
     :attr:`Run.made_by`.  ``contact`` has the time of the first contact and its bounds, None for
-    located touches; ``speed_error`` is the standard error of the impact speed, 0 if it is exact.
+    located touches.  Without ``is_first_contact_seen`` other results of that contact are None,
+    because it is hidden in part.  ``speed_error`` is the standard error of the impact speed, 0 if
+    it is exact.  ``load_bounds`` are those of :func:`bounds_of_loads`, None for exact loads.
     ``doubts`` has a line for each plausibility rule that is broken.
     """
     first = first_cluster(touches)
     has_contact = first.size > 0
+    is_seen = has_contact and is_first_contact_seen
     touch, speed = first_touch(events), impact_speed(events)
     if contact is None:
         contact = (float(first["start"].min()),) * 3 if has_contact else (None,) * 3
@@ -73,13 +78,14 @@ def summarize(
         "first_contact_time_low": contact[1],
         "first_contact_time_high": contact[2],
         "first_contact_duration": float(first["end"].max() - first["start"].min())
-        if has_contact
+        if is_seen
         else None,
-        "first_contact_touches": int(first.size),
-        "first_contact_peak_force": if_measured(first["peak_force"].max()) if has_contact else None,
+        "first_contact_touches": int(first.size) if is_first_contact_seen else None,
+        "first_contact_peak_force": if_measured(first["peak_force"].max()) if is_seen else None,
         "normal_impulse": if_measured(touches["impulse"].sum()),
         NEAREST_ERROR: 0.0,
         **loads,
+        **(load_bounds or bounds_of_loads(loads, None)),
         "loads_from": loads_from,
         "energy_residual": if_measured(energy_residual),
         "wall_time": wall_time,
@@ -241,5 +247,6 @@ def _kinds() -> dict[str, _Kind]:
         kinds[key] = kind
         if key == NEAREST_ERROR:
             nothing = Extremes(np.zeros(1, EXTREMES)[0], None)
-            kinds |= dict.fromkeys(loads_of(nothing, np.zeros(0, TOUCH)), _NUMBER)
+            loads = loads_of(nothing, np.zeros(0, TOUCH))
+            kinds |= dict.fromkeys([*loads, *bounds_of_loads(loads, None)], _NUMBER)
     return kinds

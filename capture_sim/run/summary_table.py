@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from capture_sim.run.bounds import Bounds
+from capture_sim.run.loads import LOADS
 
 
 class _Column(NamedTuple):
@@ -124,8 +125,8 @@ def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
         if s["problems"]
     ]
     lines += [
-        f"{s['name']}: loads are peaks of {s['loads_from']}, which may miss larger ones between "
-        "them; loads of touches, and of the latch as it closes, are located."
+        f"{s['name']}: loads are peaks of {s['loads_from']}: {'; '.join(_load_bounds(s))}. Others, "
+        "but those of the latch as it closes, may be larger between the samples."
         for s in summaries
         if s["loads_from"] != "integration"
     ]
@@ -146,6 +147,19 @@ def notes(summaries: Sequence[dict[str, Any]]) -> list[str]:
         span_text = low if low == high else f"{low} to {high}"
         lines.append(f"Run at {span_text} times real time.")
     return lines + [made_by_text(s["name"], s["made_by"]) for s in summaries if s.get("made_by")]
+
+
+def _load_bounds(summary: Mapping[str, Any]) -> Iterator[str]:
+    """Yield each load in a summary that sensors measured with its bounds, in words."""
+    for load in LOADS:
+        if not load.is_measured or summary[load.key] is None:
+            continue
+        low, high = (summary[f"{load.key}_{end}"] for end in ("low", "high"))
+        texts = [f"{load.factor * (x or 0.0):.4g}" for x in (low, high)]
+        bounds = "not known" if low is None else f"at least {texts[0]} {load.shown_in}"
+        if high is not None:
+            bounds = f"{texts[0]} to {texts[1]} {load.shown_in}"
+        yield f"{load.meaning} {bounds}"
 
 
 def _contact_bounds(summary: Mapping[str, Any]) -> Bounds | None:

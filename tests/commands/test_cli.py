@@ -22,6 +22,7 @@ from capture_sim.cli import main
 from capture_sim.commands import results_folder
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.offline import write_run
+from capture_sim.run.loads import LOADS
 from capture_sim.run.summary import NOT_NUMBERS
 
 
@@ -42,6 +43,7 @@ def test_run_prints_a_table_and_writes_numbers(tmp_path, capsys):
         *("first_contact_peak_force", "normal_impulse", "loads_from", "energy_residual"),
         *("wall_time", "real_time_factor", "made_by", "recording"),
         *simulate("paper_designed", t_end=0.1).loads,
+        *(f"{load.key}_{end}" for load in LOADS if load.is_measured for end in ("low", "high")),
     }
     assert (tmp_path / "results.txt").read_text(encoding="utf-8").strip() in out
 

@@ -401,7 +401,7 @@ def test_the_python_page_has_every_key_of_the_results(recordings):
     page = (ROOT / "docs" / "api.md").read_text()
     [_, columns] = page.split("## Columns")
     named = set(re.findall(r"`(\w+)`", columns))
-    endings = re.compile(r"(_plus_y|_minus_y)?(_before_latch)?(_time)?$")
+    endings = re.compile(r"(_plus_y|_minus_y)?(_before_latch)?(_time|_low|_high)?$")
     for result in json.loads((recordings / "results.json").read_text()):
         keys = {key if key in named else endings.sub("", key) for key in result}
         assert keys <= named
@@ -409,7 +409,7 @@ def test_the_python_page_has_every_key_of_the_results(recordings):
 
 
 def test_each_key_of_the_results_has_its_unit_and_meaning(recordings):
-    ending = re.compile(r"(_before_latch)?(_time)?$")
+    ending = re.compile(r"(_before_latch)?(_time|_low|_high)?$")
     loads = {load.key for load in LOADS}
     for row in json.loads((recordings / "results.json").read_text()):
         assert {key for key in row if ending.sub("", key) not in loads} == set(KEYS)

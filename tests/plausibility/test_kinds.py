@@ -137,15 +137,19 @@ def test_the_zero_of_an_encoder_changes_no_result(stroke, torsion, scene, tmp_pa
         records = dirty.changed(clean, dirty.JOINTS, dirty.off_zero(*offsets))
         (folder := tmp_path / name).mkdir()
         run = read_run(dirty.write(folder, "plain", records), scene=scene)
-        series = checked(run).series
+        series = run.series
+        peaks = [run.summary[key] for key in ("max_axial_stroke_in", "max_torsion")]
         statuses = detect(run)
         since = {s.state: s.t - s.time_in_state for s in statuses}
         states = (since, statuses[-1].nearest_distance)
-        found.append((states, series["stroke"]["joint_states"], series["torsion"]["joint_states"]))
+        found.append(
+            (states, peaks, series["stroke"]["joint_states"], series["torsion"]["joint_states"])
+        )
     [doubt] = run.doubts
     assert doubt.rule.name == "buffer_zero"
-    assert doubt.zero == pytest.approx((stroke, torsion), abs=1e-5)
-    (before, *series), (after, *zeroed) = found
+    assert doubt.line.endswith("at rest before the contact: taken out")
+    (before, peaks, *series), (after, peaks_off, *zeroed) = found
+    assert peaks_off == pytest.approx(peaks, abs=1e-5)
     assert after[0] == pytest.approx(before[0], abs=1e-6)
     assert after[1] == pytest.approx(before[1], abs=2e-5)
     for one, other in zip(series, zeroed, strict=True):

@@ -54,6 +54,16 @@ def test_a_hole_is_in_the_bounds_of_what_it_may_hide(lost, why, width, tmp_path)
     last = detect(run)[-1]
     since = last.t - last.time_in_state
     assert since - last.may_precede <= 3.41 - offset <= since + last.may_follow + 1e-9
+    true = capture_sim.simulate("tilt_p10").loads
+    for key in ("max_axial_stroke_in", "max_axial_stroke_out", "max_torsion"):
+        low, high = (run.summary[f"{key}_{end}"] for end in ("low", "high"))
+        assert low <= true[key]
+        if dirty.JOINTS in lost:
+            assert high is None
+        else:
+            assert true[key] <= high < true[key] * 1.1
+    assert run.summary["max_normal_force_low"] <= true["max_normal_force"]
+    assert run.summary["max_normal_force_high"] is None
 
 
 @pytest.mark.parametrize("first", [2.7, 4.0])
@@ -62,6 +72,10 @@ def test_a_recording_that_begins_after_the_contact_does_not_know_it(first, tmp_p
     run = rig(tmp_path, records)
     assert run.contact_bounds.low == -math.inf
     assert run.summary["first_contact_time_low"] is None
+    loads = ("max_axial_stroke_in", "max_axial_stroke_out", "max_torsion")
+    bounds = {run.summary[f"{load}_{end}"] for load in loads for end in ("low", "high")}
+    assert bounds == {None}  # the zero of the encoders is not known
+    assert any("the zero is not known and counts as 0" in doubt.line for doubt in run.doubts)
     main(["detect", str(tmp_path / "rig.mcap"), "--scene", "tilt_p10"])
     (line,) = (x for x in capsys.readouterr().out.splitlines() if x.startswith("first contact"))
     assert line.startswith("first contact before ")
@@ -115,6 +129,7 @@ def test_a_driver_that_repeats_poses_gives_the_noise_of_its_cameras(tmp_path):
 @pytest.mark.parametrize("number", range(cases(6, 30)))
 def test_drawn_faults_leave_the_truth_within_the_bounds(number):
     """All but stamps that are late, of which bounds know only where the sources differ."""
-    names, first, verdict = bound(1000 + number, has_latency=False)
+    names, first, verdict, peaks = bound(1000 + number, has_latency=False)
     assert first is None or first[0], (names, first)
     assert not isinstance(verdict, tuple) or verdict[0], (names, verdict)
+    assert all(peak[0] for peak in peaks), (names, peaks)
