@@ -10,7 +10,7 @@ import sys
 import textwrap
 import warnings
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
 from contextvars import copy_context
 from difflib import get_close_matches
 from importlib import import_module
@@ -73,6 +73,9 @@ def command_parser(name: str) -> argparse.ArgumentParser:
         allow_abbrev=False,  # an option of a later version would change what "--ou" means
     )
     command.add_arguments(parser)
+    if gives := getattr(command, "GIVES", ""):
+        text = f"print {gives} as JSON, in place of the text"
+        parser.add_argument("--json", action="store_true", help=text)
     known = {option for action in parser._actions for option in action.option_strings}
     if "--out" in known and "--overwrite" not in known:
         text = "replace files that capture-sim has not written, except the inputs"
@@ -125,7 +128,7 @@ def _run(arguments: Sequence[str]) -> int:
         with terminated_as_interrupted(), guarded_outputs(_inputs(options), overwrites=overwrites):
             if isinstance(out := getattr(options, "out", None), (str, Path)):
                 check_replaceable(Path(out))  # before it is worked for
-            return int(options.run(options))
+            return _printed_as_json(options) if vars(options).get("json") else _status(options)
     parser = _Parser(
         prog="capture-sim",
         usage="capture-sim [-h] [--version] COMMAND ...",
@@ -143,6 +146,22 @@ def _run(arguments: Sequence[str]) -> int:
         parser.error(f"{first!r}: not a command or option{_hint(first, known)}")
     parser.parse_args(arguments)
     return OK
+
+
+def _status(options: argparse.Namespace) -> int:
+    return int(options.run(options))
+
+
+def _printed_as_json(options: argparse.Namespace) -> int:
+    from capture_sim.commands.output import GIVEN, json_text
+
+    given: list[Any] = []
+    GIVEN.set(given)
+    with open(os.devnull, "w") as nothing, redirect_stdout(nothing):  # noqa: PTH123
+        status = _status(options)
+    for data in given:
+        print(json_text(data), end="")
+    return status
 
 
 def _inputs(options: argparse.Namespace) -> list[Path]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from capture_sim.base.exit_status import FAILED
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import add_experiments, load_all, number, prepare_folder, reader
-from capture_sim.commands.output import IMAGES_MISSING, reported_if_interrupted, warn
+from capture_sim.commands.output import IMAGES_MISSING, give, reported_if_interrupted, warn
 from capture_sim.commands.results_folder import ResultsFolder
 from capture_sim.commands.suite import check_ros, run_suite
 from capture_sim.recording.read import read_run
@@ -20,6 +20,7 @@ DESCRIPTION = (
     "Run scenes with the ROS 2 nodes, one process each; record, tabulate and draw the results."
 )
 FAILS = "a node or a run has failed, or a scene has no result"
+GIVES = "the rows of results.json"
 EXAMPLE = "  capture-sim bench tilt_0 tilt_p10 --rtf 1 --out runs"
 
 
@@ -61,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
         )
     read = (Recorded(read_run(path), Path(path)) for path in recordings)
     runs = [one for one in read if one.run.is_exact]
-    folder.add(runs)
+    give(folder.add(runs))
     with reported_if_interrupted(IMAGES_MISSING):
         folder.draw(runs)
     missing = {scene.name for scene in scenes} - {one.run.name for one in runs}

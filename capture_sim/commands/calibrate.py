@@ -26,7 +26,7 @@ from capture_sim.commands.inputs import (
     open_run,
     prepare_folder,
 )
-from capture_sim.commands.output import Progress, drawing, echo, write_json
+from capture_sim.commands.output import Progress, drawing, echo, give, write_json
 from capture_sim.errors import SceneError
 from capture_sim.run.run import Run
 from capture_sim.scene.files import scene_names
@@ -60,6 +60,7 @@ FAILS = (
     "not noise, something that the model lacks, a value at the end of its range, or a "
     "direction without information"
 )
+GIVES = "what is in calibration.json"
 EXAMPLE = """\
   capture-sim calibrate trial_0.mcap trial_p10.mcap trial_m10.mcap \\
     --weighed chaser.mass='22.6 +- 0.02 kg' --out runs/my_bench
@@ -355,8 +356,9 @@ def _write(found: Calibration, runs: Sequence[Run], options: argparse.Namespace)
     path = write_text(out / SCENE, scene_text(found, scene, extends, title))
     load_scene(path)  # what is written can be read
     echo(f"calibrated scene in {path}")
-    hashes = {start.trial: _sha256(Path(start.trial)) for start in found.starts}
-    echo(f"values, covariance and tests in {write_json(out / JSON, as_data(found, hashes))}")
+    data = as_data(found, {start.trial: _sha256(Path(start.trial)) for start in found.starts})
+    give(data)
+    echo(f"values, covariance and tests in {write_json(out / JSON, data)}")
     lines = [table_text(HEAD, parameter_rows(found)), ""]
     lines += [*found.notes, *held_lines(found), *_test_lines(found)]
     lines += [f"not found: {finding.line}" for finding in found.findings]

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,7 +23,7 @@ from capture_sim.commands.inputs import (
     open_run,
     prepare_folder,
 )
-from capture_sim.commands.output import drawing, echo, warn
+from capture_sim.commands.output import drawing, echo, give, warn
 from capture_sim.errors import RecordingError
 from capture_sim.run.loads import if_measured
 from capture_sim.run.run import Run
@@ -67,6 +65,7 @@ FAILS = (
     "with --simulated, the samples of a simulated recording differ; with --calibrated, the "
     "trial does not agree"
 )
+GIVES = "numbers, touches and differences, without a plot,"
 EXAMPLE = "  capture-sim compare measured.mcap --scene tilt_0 --simulated --out compared"
 
 
@@ -116,11 +115,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write the plot to this folder (default: next to the recording A; for a scene, the "
         "current folder)",
     )
-    parser.add_argument(
-        "--json",
-        action="store_true",
-        help="print numbers, touches and differences as JSON; without a plot",
-    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -152,20 +146,16 @@ def run(options: argparse.Namespace) -> int:
         if runs[0].is_exact:
             found = agreement(*runs)
             is_identical = found.identical
-            if not options.json:
-                _print_agreement(found, runs[0])
+            _print_agreement(found, runs[0])
             status = OK if found.within(options.tolerance) else FAILED
-            is_over = is_identical and not options.json
-            if is_over or (runs[0].first_contact is None and runs[1].first_contact is None):
-                if options.json:
-                    echo(json.dumps({"bit_identical": is_identical}))
+            has_no_contact = runs[0].first_contact is None and runs[1].first_contact is None
+            if has_no_contact or (is_identical and not options.json):
+                give({"bit_identical": is_identical})
                 return status
     pair = sides(*runs)
     if options.json:
         over = min(options.window, _check_window(*pair, options.window))
-        data = {"bit_identical": is_identical, **_as_data(pair, labels, over)}
-        json.dump(data, sys.stdout, indent=1)
-        echo("")
+        give({"bit_identical": is_identical, **_as_data(pair, labels, over)})
     else:
         _compare(*pair, labels, options)
     return status
@@ -249,6 +239,8 @@ def _with_calibration(options: argparse.Namespace) -> int:
     ]
     print_table(["", "chi2", "expected", "p"], rows)
     echo(found.sentence)
+    tests = (found.noise, found.parameters, found.placement)
+    give({"agrees": found.agrees, "tests": [test._asdict() for test in tests]})
     return OK if found.agrees else FAILED
 
 

@@ -90,6 +90,7 @@ DESCRIPTION = (
     "limits. To design as in the paper, for strokes of the first contact: capture-sim paper."
 )
 FAILS = "no buffer was found that captures within the limits"
+GIVES = "what is in design.json"
 EXAMPLE = """\
   capture-sim design tilt_p10 --minimize max_axial_stroke_in,max_buffer_force --torsion-limit 8
   capture-sim design tilt_0 --stroke-limit 10 --minimize max_buffer_force \\

@@ -16,7 +16,7 @@ from typing import Any
 from capture_sim.base.files import write_text
 from capture_sim.base.software import own_version
 from capture_sim.base.tables import Section, print_table
-from capture_sim.commands.output import echo, write_json
+from capture_sim.commands.output import echo, give, write_json
 from capture_sim.recording.sweep_file import head_of
 from capture_sim.run.loads import LOADS, implausible_stroke
 from capture_sim.scene.parts import Scene
@@ -458,6 +458,7 @@ def outcome_of(outcome: Outcome | None) -> dict[str, Any]:
 def write_design(kept: Mapping[str, Any], scene: Scene | None, folder: Path) -> None:
     """Write ``kept`` as ``design.json`` and the scene, unless it is None, as ``design.yaml``."""
     made = {"made_by": f"capture_sim {own_version()}", **kept}
+    give(made)
     echo(f"every candidate in {write_json(folder / 'design.json', made)}")
     if scene is not None:
         echo(f"scene in {write_text(folder / 'design.yaml', _named(scene).to_yaml())}")

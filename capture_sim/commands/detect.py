@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import NamedTuple
 
 from capture_sim.base.exit_status import BAD_INPUT, FAILED, OK
 from capture_sim.commands.inputs import add_geometry, add_remaps, open_run, prepare_folder
-from capture_sim.commands.output import echo, warn
+from capture_sim.commands.output import echo, give, warn
 from capture_sim.commands.results_folder import ResultsFolder
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.detection.nearest import in_words
@@ -30,6 +28,7 @@ DESCRIPTION = (
     "if the recording has none; --set changes them. Times are in s since the release."
 )
 FAILS = "with unchanged criteria, the verdict differs from the recorded one"
+GIVES = "the results, a list with all recordings,"
 EXAMPLE = "  capture-sim detect runs/tilt_0.mcap --set detector.capture_radius=0.004"
 
 
@@ -53,9 +52,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="add the runs to the tables results.json and results.txt in this folder, e.g. that of "
         "the recordings",
     )
-    parser.add_argument(
-        "--json", action="store_true", help="print the results as JSON, a list with all recordings"
-    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -77,17 +73,13 @@ def run(options: argparse.Namespace) -> int:
             status = BAD_INPUT
             continue
         judged.append(found)
-        if not options.json:
-            if several:
-                echo(f"{path}:")
-            _print(found)
+        if several:
+            echo(f"{path}:")
+        _print(found)
         if found.same is False and not changed and options.scene is None:
             status = status or FAILED
-            if not options.json:
-                echo(_why_different(found))
-    if options.json:
-        json.dump([_as_data(found) for found in judged], sys.stdout, indent=1)
-        echo("")
+            echo(_why_different(found))
+    give([_as_data(found) for found in judged])
     if table is not None:
         folder = options.out.resolve()
         table.add(
@@ -95,8 +87,7 @@ def run(options: argparse.Namespace) -> int:
                 Recorded(found.run, path if path.parent == folder else None)
                 for found in judged
                 for path in [Path(found.path).resolve()]
-            ],
-            quiet=options.json,
+            ]
         )
     return status
 

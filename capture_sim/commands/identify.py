@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from functools import partial
+from typing import Any
 
 from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.base.tables import print_table
@@ -19,12 +20,13 @@ from capture_sim.commands.inputs import (
     open_run,
     whole,
 )
-from capture_sim.commands.output import Progress, echo
+from capture_sim.commands.output import Progress, echo, give
+from capture_sim.run.loads import if_measured
 from capture_sim.run.origin import Release
 from capture_sim.scene.paths import ALIASES, get, paths_of
 from capture_sim.studies.calibration.calibrate import TOUCH_NOISE
 from capture_sim.studies.calibration.parameters import SENSOR_ERRORS
-from capture_sim.studies.identify import RELEASE, identify, is_explained
+from capture_sim.studies.identify import RELEASE, Fit, identify, is_explained
 
 DESCRIPTION = (
     "Fit parameters of the scene to one recorded or measured run: c_rr (rolling resistance of both "
@@ -35,6 +37,7 @@ DESCRIPTION = (
     "For several trials of one bench, see capture-sim calibrate."
 )
 FAILS = "a test of the fit fails, with the reason, or the measurements do not depend on a parameter"
+GIVES = "values, errors and tests"
 EXAMPLE = "  capture-sim identify measured.mcap c_rr e mu c_A --scene tilt_0"
 
 
@@ -139,6 +142,7 @@ def run(options: argparse.Namespace) -> int:
         share = f"{error / abs(value):.2%}" if value else "-"
         row = [name, f"{value:.6g}", f"{error:.2g}", share, f"{began:.6g}", ", ".join(notes)]
         rows.append(row)
+    give(_as_data(fit))
     print_table(["parameter", "value", "+-", "%", "start", ""], rows)
     for i, first in enumerate(fit.names):
         for j, second in enumerate(fit.names[:i]):
@@ -175,3 +179,22 @@ def run(options: argparse.Namespace) -> int:
         )
         return FAILED
     return FAILED if fit.undetermined or fit.findings else OK
+
+
+def _as_data(fit: Fit) -> dict[str, Any]:
+    """Return the values of a fit in SI units, and its tests, as data for JSON."""
+    return {
+        "parameters": {
+            name: {"value": value, "error": if_measured(error)}
+            for name, value, error in zip(
+                fit.names, fit.values.tolist(), fit.errors.tolist(), strict=True
+            )
+        },
+        "correlation": fit.correlation,
+        "chi2": fit.chi2,
+        "touches": fit.touches,
+        "at_bound": list(fit.at_bound),
+        "undetermined": list(fit.undetermined),
+        "findings": [finding.line for finding in fit.findings],
+        "is_explained": is_explained(fit),
+    }

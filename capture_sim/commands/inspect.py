@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 
 from capture_sim.base.exit_status import BAD_INPUT, FAILED, OK
 from capture_sim.base.tables import print_table
 from capture_sim.commands.inputs import add_geometry, add_release, add_remaps
-from capture_sim.commands.output import echo, warn
+from capture_sim.commands.output import echo, give, warn
 from capture_sim.errors import CaptureSimError, one_line
 from capture_sim.plausibility.check import check_names
 from capture_sim.plausibility.rules import Grade
@@ -27,6 +25,7 @@ DESCRIPTION = (
     "Times are in s since the release."
 )
 FAILS = "a rule of grade 'refused' is broken"
+GIVES = "everything, a list with all recordings,"
 EXAMPLE = "  capture-sim inspect measured.mcap --scene tilt_0"
 _HEAD = (
     "topic",
@@ -51,9 +50,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_geometry(parser)
     add_release(parser)
     add_remaps(parser)
-    parser.add_argument(
-        "--json", action="store_true", help="print everything as JSON, a list with all recordings"
-    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -78,10 +74,7 @@ def run(options: argparse.Namespace) -> int:
             warn(f"{path}: {line}")
         if any(doubt.grade is Grade.REFUSED for doubt in read.doubts):
             status = status or FAILED
-    if options.json:
-        json.dump(data, sys.stdout, indent=1)
-        echo("")
-        return status
+    give(data)
     for path, read in inspected:
         _print_judgement(path if len(options.recordings) > 1 else "", read)
     if rows:

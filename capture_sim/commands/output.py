@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -115,8 +116,22 @@ class Progress:
             print(f"{name}: {done} of {count} {self._unit}, {left}", file=sys.stderr, flush=True)
 
 
+#: What a command gives for ``--json``.
+GIVEN: ContextVar[list[Any]] = ContextVar("given")
+
+
+def give(data: Any) -> None:
+    """Note the results of a command, which ``--json`` prints in place of its text."""
+    GIVEN.get([]).append(data)
+
+
 def write_json(path: Path, data: Any) -> Path:
-    """Write data as a JSON file; return its path.
+    """Write data as a JSON file; return its path.  See :func:`json_text`."""
+    return write_text(path, json_text(data))
+
+
+def json_text(data: Any) -> str:
+    """Return data as JSON.
 
     NumPy arrays become lists with null for NaN.  Any other NaN raises ValueError.
     """
@@ -126,7 +141,7 @@ def write_json(path: Path, data: Any) -> Path:
         values[np.isnan(array)] = None
         return values.tolist()
 
-    return write_text(path, json.dumps(data, indent=2, allow_nan=False, default=plain) + "\n")
+    return json.dumps(data, indent=2, allow_nan=False, default=plain) + "\n"
 
 
 @contextmanager

@@ -31,6 +31,7 @@ DESCRIPTION = (
     "them. Without a target, the strokes are those of the scene's own buffer."
 )
 FAILS = "no buffer meets the target"
+GIVES = "what is in design.json"
 EXAMPLE = "  capture-sim paper paper_designed --stroke 7.5 --torsion 2"
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from capture_sim.commands.output import draw, echo, warn
 from capture_sim.errors import CaptureSimError
 from capture_sim.recording.read import read_run
-from capture_sim.recording.results_table import Recorded, ResultsTable, plain_row
+from capture_sim.recording.results_table import Recorded, ResultsTable, Row, plain_row
 from capture_sim.recording.scan import head_metadata
 from capture_sim.recording.write import RUN_METADATA
 from capture_sim.run.run import Run
@@ -34,25 +34,23 @@ class ResultsFolder:
     def __init__(self, folder: Path) -> None:
         self._folder, self._table = folder, ResultsTable(folder, warn)
 
-    def add(self, runs: Sequence[Recorded], *, quiet: bool = False) -> None:
-        """Print a table of the command's runs, and update the tables of the folder.
+    def add(self, runs: Sequence[Recorded]) -> list[Row]:
+        """Print a table of the command's runs, update the folder's tables, and return the rows.
 
-        If ``runs`` is empty, nothing is printed or written; with ``quiet`` nothing is printed.
+        If ``runs`` is empty, nothing is printed or written.
         """
         if not runs:
-            return
+            return []
         own = [
             plain_row({**run.run.summary, RECORDING: run.path and run.path.name}) for run in runs
         ]
         labels = [run.label for run in runs]
-        if not quiet:
-            width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-            echo(f"\n{table(own, labels, width)}\n")
+        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+        echo(f"\n{table(own, labels, width)}\n")
         updated = self._table.update(own)
-        if quiet:
-            return
         of = "table" if updated.rows == len(own) else f"table of all {updated.rows} runs"
         echo(f"{of} in {updated.table}, numbers in {updated.numbers}")
+        return own
 
     def draw(self, runs: Sequence[Recorded]) -> None:
         """Draw each run of the command, and all of them beside the folder's latest other runs."""

@@ -11,6 +11,7 @@ from capture_sim.commands.inputs import add_control, add_experiments, load_all, 
 from capture_sim.commands.output import (
     IMAGES_MISSING,
     echo,
+    give,
     reported_if_interrupted,
     warn,
 )
@@ -23,6 +24,7 @@ from capture_sim.scene.loading import overridden_name
 
 DESCRIPTION = "Run scenes without ROS; record, tabulate and draw the results."
 FAILS = "a run has stopped before its end; its results until then are written"
+GIVES = "the rows of results.json"
 EXAMPLE = "  capture-sim run tilt_0 tilt_p10 --set buffer.c_A=20 --out runs"
 
 
@@ -71,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
                 path = write_run(result, file, overwrite=options.overwrite)
                 echo(f"{scene.name}: recorded in {path}")
             runs.append(Recorded(result, path))
-    folder.add(runs)
+    give(folder.add(runs))
     if not options.no_record:
         with reported_if_interrupted(IMAGES_MISSING):
             folder.draw(runs)

@@ -32,7 +32,7 @@ from capture_sim.commands.inputs import (
     prepare_folder,
     whole,
 )
-from capture_sim.commands.output import Progress, drawing, echo, warn
+from capture_sim.commands.output import Progress, drawing, echo, give, warn
 from capture_sim.errors import SceneError
 from capture_sim.recording.sweep_file import check_format, is_complete, read_cases, write_sweep
 from capture_sim.run.loads import LOADS, implausible_stroke, plausible_stroke
@@ -83,6 +83,7 @@ DESCRIPTION = (
     "evaluate the exact motion, without the noise of the scene's sensors."
 )
 FAILS = "no run could be computed"
+GIVES = "the table"
 EXAMPLE = """\
   capture-sim sweep tilt_p10 --vary buffer.c_A=5:30:26 --out runs/damper.csv
   capture-sim sweep tilt_0 --vary initial.chaser.y='normal(5 mm, 2 mm)' \\
@@ -259,6 +260,7 @@ def _sweep(
     echo(
         f"{len(table)} runs, seed {options.seed}: table in {write_sweep(table, options.out, about)}"
     )
+    give(table.astype(object).where(table.notna(), None).to_dict("records"))
     indices = _indices(samples, table, options)
     _report(scene, samples, table, indices, limits, options)
     _print_ranges(samples, ranges, limits)
