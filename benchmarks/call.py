@@ -42,7 +42,7 @@ _TURNS = 4
 #: Functions that are named of those that take most of the rest.
 _NAMED = 3
 #: Calls that make runs of their own.
-STUDIES = ("`sweep", "`design", "`identify")
+STUDIES = ("`sweep", "`design", "a draw")
 #: Ratios that are to be reached, by the call.
 GOALS = {
     "`simulate(scene, overrides)`": 1.5,
@@ -51,7 +51,7 @@ GOALS = {
     "... `.summary`": 2.0,
     "`sweep`, a row": 1.3,
     "`design`, a candidate": 1.3,
-    "`identify`, a draw": 1.3,
+    "a draw of `calibrate`": 1.3,
 }
 
 
@@ -70,8 +70,8 @@ def calls(name: str, folder: Path) -> dict[str, Call]:
     from capture_sim.scene.loading import change_scene
     from capture_sim.studies.candidates import Evaluator, Requirements
     from capture_sim.studies.executors import InProcess
-    from capture_sim.studies.identify import identify
     from capture_sim.studies.limits import Measure
+    from tests.one_trial import identify
 
     scene = load_scene(name)
     tolerant = load_scene(name, {"run.rtol": CHANGES["run.rtol"]})
@@ -104,7 +104,7 @@ def calls(name: str, folder: Path) -> dict[str, Call]:
         "... `.samples` of it": Call(lambda: read_run(path).samples),
         "`sweep`, a row": Call(swept, _ROWS, has_runs=True),
         "`design`, a candidate": Call(designed, _ROWS, has_runs=True),
-        "`identify`, a draw": Call(fitted, 0, has_runs=True),
+        "a draw of `calibrate`": Call(fitted, 0, has_runs=True),
     }
 
 

@@ -31,7 +31,6 @@ from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.write import RunWriter
 from capture_sim.run.series import Series
 from capture_sim.run.touches import Touches
-from capture_sim.studies.identify import RELEASE, identify, is_explained
 from tests import dirty
 from tests.nodes.bench_processes import processes
 from tests.noisy_bench import (
@@ -46,6 +45,7 @@ from tests.noisy_bench import (
     noisy_run,
     tip_force,
 )
+from tests.one_trial import RELEASE, identify, is_explained
 
 EXPERIMENTS = ("tilt_0", "tilt_p10", "tilt_m10")
 REPEATS = 5

@@ -51,7 +51,7 @@ COMMANDS = {
     "`run tilt_0 --no-record`": (*CLI, "run", "tilt_0", "--no-record"),
     "`--help`": (*CLI, "--help"),
     "`compare --help`": (*CLI, "compare", "--help"),
-    "`identify --help`": (*CLI, "identify", "--help"),
+    "`calibrate --help`": (*CLI, "calibrate", "--help"),
     "`show tilt_0`": (*CLI, "show", "tilt_0"),
 }
 

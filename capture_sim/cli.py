@@ -22,7 +22,7 @@ import capture_sim
 from capture_sim.base.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK
 from capture_sim.base.outputs import check_replaceable, guarded_outputs
 from capture_sim.base.version import __version__
-from capture_sim.commands import COMMANDS, GROUPS
+from capture_sim.commands import COMMANDS, FORMER, GROUPS
 from capture_sim.errors import explain_import_error, one_line
 
 #: Errors of Python that a wrong file, value or device may cause; reported as bad input.
@@ -143,7 +143,8 @@ def _run(arguments: Sequence[str]) -> int:
     if first == "help" and arguments[1:2] != ["help"]:
         return _run([*arguments[1:2], "--help"])
     if first and first not in known:
-        parser.error(f"{first!r}: not a command or option{_hint(first, known)}")
+        now = f"; run capture-sim {FORMER[first]}" if first in FORMER else _hint(first, known)
+        parser.error(f"{first!r}: not a command or option{now}")
     parser.parse_args(arguments)
     return OK
 

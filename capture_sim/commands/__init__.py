@@ -36,11 +36,13 @@ GROUPS = {
     },
     "study": {
         "calibrate": "fit the parameters of a bench to its trials, and predict the next one",
-        "identify": "fit parameters of the bench to a recorded run",
         "design": "find the buffers that capture within limits, and that no other beats",
         "paper": "design a buffer as in the paper, for the strokes of the first contact",
         "sweep": "run a scene over values, distributions or a table",
     },
 }
+
+#: Commands of earlier versions, and what does their work now.
+FORMER = {"identify": "calibrate RUN.mcap --fit NAME ..."}
 
 COMMANDS = tuple(name for group in GROUPS.values() for name in group)

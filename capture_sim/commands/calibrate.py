@@ -18,6 +18,7 @@ from capture_sim.commands.inputs import (
     add_geometry,
     add_out,
     add_overrides,
+    add_release,
     add_remaps,
     add_seed,
     add_workers,
@@ -25,6 +26,7 @@ from capture_sim.commands.inputs import (
     not_negative,
     open_run,
     prepare_folder,
+    whole,
 )
 from capture_sim.commands.output import Progress, drawing, echo, give, write_json
 from capture_sim.errors import SceneError
@@ -32,8 +34,9 @@ from capture_sim.run.run import Run
 from capture_sim.scene.files import scene_names
 from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.calibration.calibrate import Calibration, calibrate, predicted
+from capture_sim.studies.calibration.calibrate import TOUCHES, Calibration, calibrate, predicted
 from capture_sim.studies.calibration.candidates import NAMED
+from capture_sim.studies.calibration.descent import RESTARTS
 from capture_sim.studies.calibration.files import JSON, SCENE, as_data, scene_text
 from capture_sim.studies.calibration.parameters import (
     DEFAULT,
@@ -50,10 +53,10 @@ from capture_sim.studies.calibration.trial import launched
 from capture_sim.studies.executors import open_executor
 
 DESCRIPTION = (
-    "Fit the parameters of a bench to all of its trials. Each trial has its own start poses and "
-    "release, which are fitted as well. Measurements after the first launcher/hold that follows "
-    "the release are not used. Print values with standard errors and the tests of the fit; write "
-    "a calibrated scene, the covariance and plots."
+    "Fit the parameters of a bench to all of its trials, or to one recording. Each trial has its "
+    "own start poses and release, which are fitted as well. Measurements after the first "
+    "launcher/hold that follows the release are not used. Print values with standard errors and "
+    "the tests of the fit; write a calibrated scene, the covariance and plots."
 )
 FAILS = (
     "a test fails, with the reasons: searches or trials that do not agree, residuals that are "
@@ -114,6 +117,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "e.g. '0.2 mm, 1 mrad' (default: placed exactly)",
     )
     parser.add_argument(
+        "--touches",
+        type=whole(),
+        default=TOUCHES,
+        metavar="N",
+        help="fit time and strength of the first N touches of each trial, as far as its "
+        f"measurements resolve them; 0 for none (default: {TOUCHES})",
+    )
+    parser.add_argument(
+        "--restarts",
+        type=whole(),
+        default=RESTARTS,
+        metavar="N",
+        help="begin N further searches near the result, which must find no better one (default: "
+        f"{RESTARTS})",
+    )
+    parser.add_argument(
         "--until",
         type=not_negative,
         default=math.inf,
@@ -122,6 +141,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "launcher/hold after the release)",
     )
     add_geometry(parser)
+    add_release(parser)
     add_remaps(parser)
     add_overrides(parser)
     add_workers(parser)
@@ -147,6 +167,7 @@ def run(options: argparse.Namespace) -> int:
             options.remaps,
             scene=options.scene,
             overrides=options.overrides,
+            release=options.release,
             waived=options.waived,
         )
         for source in options.trials
@@ -162,6 +183,8 @@ def run(options: argparse.Namespace) -> int:
             weighed=weighed,
             uncertain=_uncertain(options.uncertain),
             until=options.until,
+            restarts=options.restarts,
+            touches=options.touches,
             seed=options.seed,
             report=partial(progress.at, "calibrate"),
             executor=executor,

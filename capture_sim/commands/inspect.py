@@ -21,7 +21,7 @@ from capture_sim.scene.loading import load_scene
 DESCRIPTION = (
     "Say what recordings are worth before anything is judged or fitted: a row for each topic with "
     "rate, gaps, clock, noise, range and use; the rules of plausibility that are broken; what is "
-    "missing for detect, compare and identify. Any MCAP file or bag is accepted. "
+    "missing for detect, compare and calibrate. Any MCAP file or bag is accepted. "
     "Times are in s since the release."
 )
 FAILS = "a rule of grade 'refused' is broken"
@@ -103,7 +103,7 @@ def _number(value: float | None, kind: str) -> str:
 def _print_judgement(path: str, read: Run) -> None:
     """Print the plausibility rules that a run breaks, and the data that other commands lack.
 
-    The other commands are detect, compare and identify.  ``path`` starts each line, if not empty.
+    The other commands are detect, compare and calibrate.  ``path`` starts each line, if not empty.
     """
     where = f"{path}: " if path else ""
     for doubt in read.doubts:

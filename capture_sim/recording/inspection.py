@@ -124,7 +124,7 @@ def _columns(series: Series) -> np.ndarray:
 
 
 def missing_for(run: Run) -> dict[str, list[str]]:
-    """Return what a run lacks for each of the commands ``detect``, ``compare`` and ``identify``.
+    """Return what a run lacks for each of the commands ``detect``, ``compare`` and ``calibrate``.
 
     The result is by command; a list is empty if the command can use the run.
     """
@@ -138,12 +138,10 @@ def missing_for(run: Run) -> dict[str, list[str]]:
     contact: list[str] = []
     with suppress(CaptureSimError):
         contact = [] if run.first_contact is not None else ["a contact in a force or the buffer"]
-    some = ("chaser", "target", "stroke", "torsion")
-    nothing = [] if any(run.measured(name).t.size for name in some) else ["poses or the buffer"]
     return {
         "detect": common + scene + poses + buffer,
         "compare": common + contact,
-        "identify": common + scene + nothing,
+        "calibrate": common + scene + poses,
     }
 
 

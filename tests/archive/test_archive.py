@@ -104,7 +104,7 @@ def test_every_command_takes_the_files_of_a_version(version, tmp_path, monkeypat
         ["view", *files, "--out", "view"],
         ["report", *files, "--out", "report.html"],
         ["compare", *simulated],
-        ["identify", "offline.mcap", "e", "--starts", "1"],
+        ["calibrate", "offline.mcap", "--fit=e", "--restarts=0", "--out=fit"],
         *(["compare", "--simulated", name, "--tolerance", ROUNDED] for name in simulated),
         *(["export", name, "--out", f"tables/{name}"] for name in files),
         *(["show", name] for name in (*simulated, "scene.yaml")),

@@ -146,7 +146,7 @@ def test_the_hash_of_the_kernels_is_the_same_in_another_process(tmp_path):
     assert done.stdout.split() == [code_hash(advance), code_hash(follow)]
 
 
-@pytest.mark.parametrize("command", ["show tilt_0", "compare --help", "identify --help"])
+@pytest.mark.parametrize("command", ["show tilt_0", "compare --help", "calibrate --help"])
 def test_commands_that_compute_nothing_load_no_numba(command, tmp_path):
     code = f"""
 import sys

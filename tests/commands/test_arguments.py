@@ -153,7 +153,7 @@ NO_FACTOR = "must be a number >= 0 and <= 1000"
         (BENCH, ["--namespace", "lab//two"], "must be a ROS name, e.g. lab"),
         (["view"], ["tilt_0", "--window", "nan", "1"], "a number"),
         (["compare"], ["x.mcap", "--tolerance", "nan"], "a number >= 0"),
-        (["identify"], ["x.mcap", "mu", "--starts", "0x10"], "whole number"),
+        (["calibrate"], ["x.mcap", "--restarts", "0x10"], "whole number"),
         (
             DESIGN,
             ["--stroke=5"],

@@ -27,7 +27,7 @@ def test_a_clean_recording_has_a_row_for_each_topic(tmp_path, capsys):
     assert "chaser's pose" in rows[dirty.CHASER]
     assert "no rule is broken" in out
     assert [line for line in out.splitlines() if line.endswith("can be run")] == [
-        f"{command}: can be run" for command in ("detect", "compare", "identify")
+        f"{command}: can be run" for command in ("detect", "compare", "calibrate")
     ]
 
 
@@ -48,7 +48,7 @@ def test_a_refused_rule_is_status_1_unless_it_is_waived(kind, tmp_path, capsys):
     assert status == 1
     rules = [doubt["rule"] for doubt in data["doubts"] if doubt["grade"] == "refused"]
     assert rules
-    for command in ("detect", "compare", "identify"):
+    for command in ("detect", "compare", "calibrate"):
         assert f"rule {rules[0]} kept" in data["missing"][command]
     waived = []
     for _ in range(4):  # a rule may have hidden those that rest on it

@@ -37,7 +37,7 @@ from capture_sim.recording.offline import PUBLISHERS, run_stream, write_run
 from capture_sim.recording.scan import MIN_UNPACKED_LIMIT
 
 CASES = cases(few=30, all=100)
-COMMANDS = ("detect", "export", "compare", "identify")
+COMMANDS = ("detect", "export", "compare", "calibrate")
 
 
 @pytest.fixture(scope="module")
@@ -118,9 +118,9 @@ def test_odd_contents_are_one_line(tmp_path, capsys):
     tried = 0
     for name, file in odd_files(tmp_path):
         for command in COMMANDS:
-            more = {"compare": [str(file)], "identify": ["e"]}.get(command, [])
+            more = {"compare": [str(file)], "calibrate": ["--fit=e"]}.get(command, [])
             folder = tmp_path / f"{file.stem}_{command}"
-            out = [] if command in ("detect", "identify") else ["--out", str(folder)]
+            out = [] if command == "detect" else ["--out", str(folder)]
             status = main([command, str(file), *more, *out])
             said = capsys.readouterr()
             assert status in (0, 1, 2), (name, command)

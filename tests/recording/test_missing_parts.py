@@ -207,7 +207,7 @@ CORES = {
     "report": lambda run: (run.made_by, run.verdict, run.events, repr(run)),
     "export": lambda run: [run.tables[topic].fields for topic in run.tables],
     "compare": lambda run: (run.first_contact, run.resolved_touches, run.cone_force),
-    "identify": lambda run: (run.plan, *map(run.measured, ("chaser", "target", "stroke"))),
+    "calibrate": lambda run: (run.plan, *map(run.measured, ("chaser", "target", "stroke"))),
 }
 
 
@@ -275,7 +275,7 @@ def test_pairs_of_parts(recording, tmp_path):
 
 
 @pytest.mark.parametrize("recording", ["rig"], indirect=True)
-@pytest.mark.parametrize("command", ["detect", "export", "compare", "report", "view", "identify"])
+@pytest.mark.parametrize("command", ["detect", "export", "compare", "report", "view", "calibrate"])
 def test_whole_commands_end_in_one_line(recording, command, tmp_path, capsys, monkeypatch):
     """A field that each of them needs, and one of every kind of part."""
     monkeypatch.chdir(tmp_path)
@@ -285,7 +285,7 @@ def test_whole_commands_end_in_one_line(recording, command, tmp_path, capsys, mo
     for part in random.Random(command).sample([*needed, *kinds], 2):
         path = recording.without(tmp_path / "less.mcap", part)
         arguments = [str(path), *([str(path)] if command == "compare" else [])]
-        arguments += ["mu", "--starts=1"] if command == "identify" else []
+        arguments += ["--fit=mu", "--restarts=0"] if command == "calibrate" else []
         status = main([command, *arguments, "--scene=paper_designed"])
         lines = capsys.readouterr().err.splitlines()
         assert status in (0, 1, 2), (part, lines)

@@ -49,7 +49,7 @@ def test_every_command_reads_remapped_topics(path, rig_bag, tmp_path, capsys):
         ("export", *out),
         ("view", *scene, *out),
         ("report", *scene, "--out", str(tmp_path / "report.html")),
-        ("identify", "c_rr", *scene, "--touches", "0"),
+        ("calibrate", "--fit=c_rr", *scene, "--touches=0", "--restarts=0", *out),
         ("compare", str(path), *out),
     ):
         arguments = [command, str(rig_bag), *options]

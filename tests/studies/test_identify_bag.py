@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from functools import partial
 
 import numpy as np
@@ -32,7 +33,7 @@ from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
 from capture_sim.messages.definitions import typestore
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
-from capture_sim.studies.identify import RELEASE, identify, is_explained
+from tests.one_trial import RELEASE, identify, is_explained
 
 WALL = 1_790_000_000  # s, of a wall clock
 STOOD = 0.35  # s, that the chaser was held after the first pose
@@ -95,37 +96,27 @@ def bench_bag(run, folder, force):
     return folder
 
 
-@pytest.mark.parametrize(
-    "name, seed, release",
-    [
-        ("tilt_0", 21, ["--release", str(STOOD), "--fix-release"]),
-        (
-            "tilt_p10",
-            24,
-            ["--release", str(STOOD + 0.02)],
-        ),  # as read off a diagram is known: it begins at the first pose
-    ],
-)
-def test_bag_of_a_bench_gives_its_parameters_back(name, seed, release, tmp_path, capsys):
+@pytest.mark.parametrize("name, seed, late", [("tilt_0", 21, 0.0), ("tilt_p10", 24, 0.02)])
+def test_bag_of_a_bench_gives_its_parameters_back(name, seed, late, tmp_path, capsys):
+    """``late``: by how much the release is read off a diagram too late, s."""
     run = noisy_run(name, seed)
     force = tip_force(run, np.random.default_rng(seed))
     bag = bench_bag(run, tmp_path / "bag", force)
-    command = ["identify", str(bag), *NAMES, "--scene", name]
-    assert main([*command, *release, "--touch-noise", "5e-5", "1"]) == 0
+    command = ["calibrate", str(bag), "--fit", *NAMES, "--scene", name, "--restarts", "1"]
+    main([*command, "--release", str(STOOD + late), "--out", str(tmp_path / "fit")])
     said = capsys.readouterr().out
-    assert "touches from contact/wrench" in said
-    assert " 4 touches" in said
-    known = "--fix-release" in release
-    true = [*run.true] if known else [*run.true, STOOD]
-    rows = [line.split() for line in said.splitlines()[2 : 2 + len(true)]]
-    for row, expected in zip(rows, true, strict=True):
-        assert abs(float(row[1]) - expected) < 3.0 * float(row[2]), row
-    if not known:
-        assert rows[4][0] == "release"
-        assert float(rows[4][2]) < 4e-4  # with the start poses free as well
-        assert "release=" not in said  # it is no field of the scene
+    assert "only times and strengths of the first touches are used" in said
+    found = json.loads((tmp_path / "fit" / "calibration.json").read_text())
+    values, errors = (
+        dict(zip(found["names"], found[k], strict=True)) for k in ("values", "errors")
+    )
+    for name, true in zip(NAMES, run.true, strict=True):
+        assert abs(values[name] - true) < 3.0 * errors[name], name
+    [start] = found["trials"]
+    assert abs(start["release"] + late) < 3.0 * start["release_error"]
+    assert start["release_error"] < 1e-3  # with the start poses free as well
     # without touches the restitution is known several times worse
-    assert float(rows[1][2]) < 0.05 * run.true[1]
+    assert errors["e"] < 0.05 * run.true[1]
 
 
 def test_release_is_fitted_with_the_rest():
@@ -187,18 +178,6 @@ def test_the_restitution_is_not_biased_by_the_filter_of_a_load_cell():
     assert abs(np.mean(off)) < 3.0 / np.sqrt(len(off))
 
 
-def test_recording_that_tells_the_release_is_believed(tmp_path, capsys):
-    result = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["run.t_end=2.0"]))
-    path = str(write_run(result, tmp_path / "run.mcap"))
-    main(["identify", path, "mu", "--starts", "1"])
-    assert "release" not in capsys.readouterr().out
-    main(["identify", path, "mu", "release", "--starts", "1"])
-    row = capsys.readouterr().out.splitlines()[3]
-    assert row.startswith("release ")
-    assert "s after the recorded release" in row
-    assert abs(float(row.split()[1])) < 1e-6
-
-
 def test_touches_in_the_force_are_those_that_were(tmp_path):
     run = noisy_run("tilt_p10", 23)
     bag = bench_bag(run, tmp_path / "bag", tip_force(run, np.random.default_rng(23)))
@@ -220,7 +199,7 @@ def test_touches_in_the_force_are_those_that_were(tmp_path):
 def test_release_outside_the_recording_is_refused(tmp_path, capsys):
     result = capture_sim.simulate(capture_sim.load_scene("tilt_0", ["run.t_end=1.0"]))
     path = str(write_run(result, tmp_path / "short.mcap"))
-    assert main(["identify", path, "c_rr", "--release", "7"]) == 2
+    assert main(["calibrate", path, "--fit", "c_rr", "--release", "7"]) == 2
     said = capsys.readouterr().err.strip()
     assert said.count("\n") == 0
     assert "release = 7 s: must be 0 to 1 s" in said

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import dirty
@@ -35,7 +36,8 @@ def test_what_is_no_number_or_comes_twice_is_left_out(path, tmp_path, capsys):
         assert np.isfinite(series.values).all()
         assert (np.diff(series.t) > 0.0).all()
     # its force is too slow to show every touch, so that none is fitted
-    assert main(["identify", str(bag), "mu", "--scene", "tilt_0", "--starts", "1"]) == 0
+    fit = ["--fit", "mu", "--scene", "tilt_0", "--restarts", "0", "--out", str(tmp_path / "fit")]
+    assert main(["calibrate", str(bag), *fit]) == 0
     assert main(["compare", str(bag), str(path), "--out", str(tmp_path)]) == 0
     assert "nan" not in capsys.readouterr().out
 
@@ -64,18 +66,18 @@ def test_measurements_of_a_bag_are_those_of_the_samples(result, path):
         assert series.values == pytest.approx(exact[name].values, abs=1e-12)
 
 
-def test_identify_command_finds_what_the_run_was_made_with(path, capsys):
-    command = ["identify", str(path), "mu", "c_A"]
+def test_calibrate_finds_what_one_run_was_made_with(path, tmp_path, capsys):
+    command = ["calibrate", str(path), "--fit", "mu", "c_A", "--out", str(tmp_path)]
     changed = ["--set", "friction.mu=0.25", "--set", "buffer.c_A=16"]
-    assert main([*command, *changed]) == 0
-    said = capsys.readouterr().out
-    fitted = {word.split("=")[0]: word.split("=")[1] for word in said.split() if "=" in word}
-    assert float(fitted["friction.mu"]) == pytest.approx(0.33, rel=1e-4)
-    assert float(fitted["buffer.c_A"]) == pytest.approx(13.0, rel=1e-4)
+    assert main([*command, *changed, "--restarts", "1"]) == 0
+    found = json.loads((tmp_path / "calibration.json").read_text())
+    fitted = dict(zip(found["names"], found["values"], strict=True))
+    assert fitted["mu"] == pytest.approx(0.33, rel=1e-4)
+    assert fitted["c_A"] == pytest.approx(13.0, rel=1e-4)
     # a scene that is wrong elsewhere does not explain the run
-    assert main([*command, "--set", "buffer.k_A=400", "--starts", "1"]) == 1
-    assert "does not explain" in capsys.readouterr().out
-    assert main(["identify", str(path), "colour"]) == 2
+    assert main([*command, "--set", "buffer.k_A=400", "--restarts", "0"]) == 1
+    assert "not found: " in capsys.readouterr().out
+    assert main(["calibrate", str(path), "--fit", "colour"]) == 2
     assert "parameter colour: must be one of c_rr, e, mu, c_A" in capsys.readouterr().err
 
 
@@ -91,7 +93,8 @@ def test_a_frame_of_the_cameras_that_is_taken_out_is_said(tmp_path, capsys):
 
     records = dirty.changed(dirty.clean(), dirty.BODIES, turn)
     path = str(dirty.write_mcap(tmp_path / "rig.mcap", records))
-    assert main(["identify", path, "c_rr", "--scene", "tilt_p10", "--starts", "1"]) == 0
+    fit = ["--fit", "c_rr", "--scene", "tilt_p10", "--restarts", "0", "--out", str(tmp_path)]
+    main(["calibrate", path, *fit])
     said = capsys.readouterr().out
     assert "the frame of the poses is turned by -28.7 deg" in said or "by -28.6 deg" in said
     row = next(line.split() for line in said.splitlines() if line.startswith("c_rr"))

@@ -191,24 +191,6 @@ class Calibration:
         scale = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
         return np.asarray(self.covariance / np.outer(scale, scale))
 
-    def correlation_of(self, names: Sequence[str]) -> np.ndarray:
-        """Return the correlations (n, n) of named quantities.
-
-        A name is a shared parameter, or a start pose (:data:`STARTS`) or ``"release"`` of the first
-        trial.
-        """
-        assert self.problem is not None
-        assert self.linear is not None
-        slopes = np.zeros((len(names), self.problem.dimension))
-        for row, name in zip(slopes, names, strict=True):
-            if name in self.names:
-                row[self.names.index(name)] = 1.0
-            else:
-                row[:] = self.starts[0].slopes[[*STARTS, "release"].index(name)]
-        covariance = slopes @ self.linear.covariance @ slopes.T
-        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        return np.asarray(covariance / np.outer(scale, scale))
-
     def fields_of(self, scene: Scene) -> dict[str, float]:
         """Return the values that the fit found for fields of a scene by path, SI.
 
@@ -237,6 +219,7 @@ def calibrate(
     placement: str | Placement | None = None,
     until: float = math.inf,
     restarts: int = RESTARTS,
+    touches: int = TOUCHES,
     seed: int = 0,
     report: Callable[[int, int], None] | None = None,
     executor: Executor | None = None,
@@ -272,6 +255,9 @@ def calibrate(
         End of the measurements that are used, s since the release.
     restarts
         Number of successive restarts near the best fit that must find no better fit.
+    touches
+        Number of first touches of each trial whose times and strengths are fitted, as far as its
+        measurements resolve them.
     seed
         Seed of the restarts and of the prediction.
     report
@@ -319,7 +305,7 @@ def calibrate(
     prepared = [
         trial_of(
             run,
-            touches=_touches_of(run),
+            touches=_touches_of(run, touches),
             until=until,
             is_release_fitted=run.scene.string is not None,
         )
@@ -384,15 +370,15 @@ def _notes(runs: Sequence[Run], trials: Sequence[FittedTrial]) -> tuple[str, ...
     return tuple(f"{', '.join(names)}: {words}" for words, names in found.items())
 
 
-def _touches_of(run: Run) -> Touches | None:
+def _touches_of(run: Run, count: int) -> Touches | None:
     """Return the first touches of a run for the fit, with their standard deviations.
 
     None if no measurement of the run resolves its touches, see :attr:`Run.resolved_touches`.
     """
     touches, _ = run.resolved_touches
-    if touches is None:
+    if touches is None or not count:
         return None
-    return resolved(touches.of(slice(TOUCHES)).with_default_noise(*TOUCH_NOISE), launched(run))
+    return resolved(touches.of(slice(count)).with_default_noise(*TOUCH_NOISE), launched(run))
 
 
 def predicted(
@@ -465,15 +451,13 @@ def fit_trials(
     restarts: int = RESTARTS,
     seed: int = 0,
     report: Callable[[int, int], None] | None = None,
-    is_noise_known: bool = False,
     has_scores: bool = True,
     held: Sequence[Parameter] = (),
     executor: Executor | None = None,
 ) -> Calibration:
     """Fit parameters to trials and test the fit; see :func:`calibrate`.
 
-    ``is_noise_known``: True to keep the noise of the trials, False to estimate it again from the
-    residuals.  ``has_scores``: True to search also for parameters that the model lacks.
+    ``has_scores``: True to search also for parameters that the model lacks.
     ``held``: weighed parameters that join the fit at its end.  ``executor`` as in
     :func:`calibrate`.
     """
@@ -491,7 +475,7 @@ def fit_trials(
     _check_start(problem, begin)
     fitting = _Fitting(problem)
     try:
-        fitting.run(begin, restarts, seed, is_noise_known=is_noise_known)
+        fitting.run(begin, restarts, seed)
         if held:
             fitting.join(held, restarts, seed)
         found = _tested(fitting, has_scores=has_scores)
@@ -526,22 +510,18 @@ class _Fitting:
         self.fitted = problem.shared  # number of parameters, without held ones that have joined
         self.noise: np.ndarray | None = None  # their covariance before that
 
-    def run(self, begin: np.ndarray, restarts: int, seed: int, *, is_noise_known: bool) -> None:
+    def run(self, begin: np.ndarray, restarts: int, seed: int) -> None:
         """Fit over a growing horizon, then with the noise of the residuals, then with restarts."""
         rng = np.random.default_rng(seed)
         search = self._grown(self.problem, begin, rng)
-        if not is_noise_known:
-            search = self._renoised(search)
+        search = self._renoised(search)
         if restarts and _block_finding(block_means(search.linear, self.problem), self.problem):
             # chatter may trap the fit in a false minimum: repeat it once from another start
             before, first = self.problem, search
             low, high = (limits[: begin.size] for limits in before.limits)
             there = np.clip(begin + _ELSEWHERE * rng.standard_normal(begin.size), low, high)
             search = self._grown(before, there, rng)
-            if search.linear.chi2 >= first.linear.chi2:
-                search = first
-            elif not is_noise_known:
-                search = self._renoised(search)
+            search = first if search.linear.chi2 >= first.linear.chi2 else self._renoised(search)
         self.found = Found(search)
         if _block_finding(block_means(search.linear, self.problem), self.problem) is None:
             self.found = restart(self.problem, search, rng, restarts)

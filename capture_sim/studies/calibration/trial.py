@@ -120,7 +120,6 @@ def trial_of(
     run: Run,
     *,
     touches: Touches | None = None,
-    noise: Mapping[str, np.ndarray] | None = None,
     until: float = math.inf,
     is_release_fitted: bool = True,
 ) -> FittedTrial:
@@ -132,8 +131,6 @@ def trial_of(
         The measured run.
     touches
         Its first touches; None to fit without them.
-    noise
-        Standard deviations by series, one for each of its parts; missing ones are estimated.
     until
         End of the measurements that are used, s.  They end earlier if the launcher commands the
         driver to hold the chaser again (topic launcher/hold), or if the scene's run is shorter.
@@ -159,9 +156,7 @@ def trial_of(
         if kept.any():
             values = series.values[kept].reshape(int(kept.sum()), -1)
             series = Series(series.t[kept], values)
-            given = (noise or {}).get(quantity)
-            sigma = np.asarray(scatter(series) if given is None else given, dtype=float)
-            sigma = np.maximum(sigma, [part.noise for part in parts])
+            sigma = np.maximum(scatter(series), [part.noise for part in parts])
             channels.append(MeasuredChannel(quantity, series.t, values, sigma))
     for vehicle in POSES:
         if vehicle not in [channel.name for channel in channels]:
