@@ -264,3 +264,8 @@ class Event:
     wall: int = 0  # wall of a touch, lift_off, stick or slip: +1 or -1; 0: none, or unknown
     detail: str = ""
     touch: np.void | None = field(default=None, compare=False)
+
+    def __repr__(self) -> str:
+        wall = f", wall {self.wall:+d}" if self.wall else ""
+        detail = f": {self.detail}" if self.detail else ""
+        return f"Event({self.kind.label} at {self.t:.6g} s{wall}{detail})"

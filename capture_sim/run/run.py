@@ -6,7 +6,6 @@ sources.  The run is an :class:`ExactRun` if the full state is known, else a :cl
 
 from __future__ import annotations
 
-import html
 import importlib
 import math
 from abc import ABC, abstractmethod
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
+from capture_sim.base.notebook import html_table
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.dynamics.samples import ENERGIES, Event, EventKind, Extremes
 from capture_sim.errors import RecordingError, SceneError
@@ -588,15 +588,13 @@ class Run(ABC):
 
     def _repr_html_(self) -> str:
         """Return the summary as an HTML table for a notebook."""
-        head = f"<caption>{html.escape(self.scene.title)}</caption>"
         # if a latch closed, there is a second column of values
         columns = table_rows([self.summary])
-        lines = (
-            f"<tr><th>{' '.join(filter(None, (group, name)))}</th>"
-            f"{''.join(f'<td>{html.escape(cell)}</td>' for cell in cells)}<td>{unit}</td></tr>"
+        rows = (
+            (" ".join(filter(None, (group, name))), *cells, unit)
             for (group, name, unit), *cells in zip(heads(), *columns, strict=True)
         )
-        return f"<table>{head}{''.join(lines)}</table>"
+        return html_table(self.scene.title, rows)
 
     def to_dataframe(self, table: str = "samples") -> pandas.DataFrame:
         """Return samples, touches, events or a recorded topic as a pandas table.

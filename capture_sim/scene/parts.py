@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from capture_sim.base.notebook import html_table
 from capture_sim.errors import SceneError
 from capture_sim.scene.laws import CONTACT_LAWS, FRICTION_LAWS
 from capture_sim.scene.quantities import (
@@ -722,6 +724,19 @@ class Scene(Checked):
     def to_yaml(self) -> str:
         """Return the complete scene as YAML text; loading this text gives an equal scene."""
         return yaml_text(self)
+
+    def _repr_html_(self) -> str:
+        """Return the scene for a notebook: the values of each part, in SI units."""
+        rows = ((name, str(value)) for name, value in _values(as_mapping(self)))
+        return html_table(f"{self.name}: {self.title}", rows)
+
+
+def _values(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in mapping.items():
+        if isinstance(value, dict):
+            yield from _values(value, f"{prefix}{name}.")
+        elif prefix:
+            yield f"{prefix}{name}", value
 
 
 #: Pattern of scene names, which recordings, plots and paths in the viewer contain.

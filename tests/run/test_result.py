@@ -49,6 +49,9 @@ def test_a_result_is_shown_in_a_line_and_in_a_table(run):
     assert page.startswith("<table>")
     assert len(page) < 3000
     assert f"{run.summary['impact_speed']:.4f}" in page
+    assert f"<th>buffer.c_A</th><td>{run.scene.buffer.c_A}</td>" in run.scene._repr_html_()
+    touch = next(event for event in run.events if event.kind.label == "touch")
+    assert repr(touch).startswith(f"Event(touch at {touch.t:.6g} s, wall ")
 
 
 def test_text_of_a_scene_is_escaped_in_the_table():

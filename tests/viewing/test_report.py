@@ -167,6 +167,17 @@ def test_page_opens_on_a_phone_and_a_screen_without_errors(text, folder, tmp_pat
 
 
 @needs_chromium
+def test_page_fits_on_a_phone_of_390_pixels(folder, tmp_path):
+    """In a frame, as the browser's own window is not below 500; before, its links ran out."""
+    frame = tmp_path / "phone.html"
+    script = "console.log('wide', this.contentDocument.documentElement.scrollWidth)"
+    source = (folder / "report.html").as_uri()
+    frame.write_text(f'<iframe width="390" height="800" src="{source}" onload="{script}"></iframe>')
+    (line,) = open_page(frame, tmp_path, "--allow-file-access-from-files", "--dump-dom")
+    assert int(re.search(r"wide (\d+)", line)[1]) <= 390
+
+
+@needs_chromium
 @pytest.mark.long
 def test_page_prints_on_a4_and_forbids_requests(text, tmp_path):
     altered, printed = tmp_path / "altered.html", tmp_path / "page.pdf"

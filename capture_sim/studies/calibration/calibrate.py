@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from capture_sim.base.notebook import html_table
 from capture_sim.dynamics.bench import Bench
 from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.errors import SceneError, SimulationError
@@ -174,6 +175,13 @@ class Calibration:
         """Return the values and whether the fit was found valid, in one line."""
         values = (f"{n} = {v:.6g}" for n, v in zip(self.names, self.values, strict=True))
         return f"Calibration({', '.join(values)}; {'found' if self.is_found else 'not found'})"
+
+    def _repr_html_(self) -> str:
+        """Return the values with their standard errors for a notebook, and the findings."""
+        columns = zip(self.names, self.values, self.errors, self.units, strict=True)
+        rows = ((n, f"{v:.6g}", f"+- {e:.2g}", "" if u == "1" else u) for n, v, e, u in columns)
+        lines = [f"not found: {finding.line}" for finding in self.findings]
+        return html_table("calibration" if lines else "calibration: found", rows, lines)
 
     @property
     def is_found(self) -> bool:
