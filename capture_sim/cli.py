@@ -22,7 +22,7 @@ import capture_sim
 from capture_sim.base.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK
 from capture_sim.base.outputs import check_replaceable, guarded_outputs
 from capture_sim.base.version import __version__
-from capture_sim.commands import COMMANDS, FORMER, GROUPS
+from capture_sim.commands import COMMANDS, FORMER, GROUPS, OPTIONS
 from capture_sim.errors import explain_import_error, one_line
 
 #: Errors of Python that a wrong file, value or device may cause; reported as bad input.
@@ -30,6 +30,8 @@ _FROM_OUTSIDE = (OSError, ValueError, ArithmeticError, RecursionError)
 #: New objects after which Python looks for garbage.  With its default, 700, it spends 8 % of a
 #: short command on the modules that were just loaded.
 _GARBAGE_THRESHOLD = 100_000
+#: Number of options from which on a command's help has titles.
+_MANY = 10
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -80,8 +82,21 @@ def command_parser(name: str) -> argparse.ArgumentParser:
     if "--out" in known and "--overwrite" not in known:
         text = "replace files that capture-sim has not written, except the inputs"
         parser.add_argument("--overwrite", action="store_true", help=text)
+    _sort_options(parser)
     parser.set_defaults(run=command.run, fails=getattr(command, "FAILS", ""))
     return parser
+
+
+def _sort_options(parser: argparse.ArgumentParser) -> None:
+    """Put the options below the titles of :data:`OPTIONS`, if there are many."""
+    options = parser._optionals._group_actions
+    if len(options) < _MANY:
+        return
+    for title, names in OPTIONS.items():
+        found = [each for each in options if set(each.option_strings) & set(names)]
+        parser.add_argument_group(title)._group_actions.extend(found)
+    for each in [each for group in parser._action_groups[2:] for each in group._group_actions]:
+        options.remove(each)
 
 
 def _failure(reason: str) -> str:

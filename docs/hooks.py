@@ -19,6 +19,10 @@ UNBRACED = re.compile(r"(?:\\frac|\\sqrt|[\^_])\s*\d{2,}")
 LINK = re.compile(r"(!?)\[([^\]]*)\]\((?!https?:)([^)\s]+)\)")
 
 
+#: The page of the types that the nodes exchange.
+TYPES = "reference_types.md"
+
+
 def start_page(readme: str) -> str:
     """Return the site's first page: the README, with links as they are from within docs/."""
 
@@ -35,7 +39,22 @@ def on_files(files: Files, config: Any) -> Files:
     readme = Path(config["docs_dir"]).parent / "README.md"
     text = start_page(readme.read_text(encoding="utf-8"))
     files.append(File.generated(config, "index.md", content=text))
+    files.append(File.generated(config, TYPES, content=types_page(readme.parent)))
     return files
+
+
+def types_page(folder: Path) -> str:
+    """Return a page with the definitions of all messages, actions and services in a folder."""
+    lines = ["# Messages, actions and services", ""]
+    lines += [
+        "What the nodes exchange. Comments say unit and meaning of a field.",
+        "",
+    ]
+    for kind in ("msg", "action", "srv"):
+        for path in sorted((folder / kind).glob(f"*.{kind}")):
+            lines += [f"## {path.stem}", "", "```text", path.read_text(encoding="utf-8").rstrip()]
+            lines += ["```", ""]
+    return "\n".join(lines)
 
 
 def on_page_content(html: str, **_: Any) -> str:
@@ -75,5 +94,5 @@ def with_marks(markdown: str) -> str:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Mark the formulas."""
-    return with_marks(markdown)
+    """Mark the formulas; a link to the messages' folder leads to their page."""
+    return with_marks(markdown.replace("](../msg)", f"]({TYPES})"))

@@ -210,23 +210,6 @@ def sample_meanings() -> dict[str, str]:
     return {name: comment for name, _, comment in message_rows(text)}
 
 
-#: Names of the parts of an action and of a service, which lines of three dashes divide.
-_PARTS_OF = {".action": ("goal", "result", "feedback"), ".srv": ("request", "response")}
-
-
-def service_fields() -> str:
-    """Return a table of the constants and fields of each action and service."""
-    lines = ["| type | part | field | type | content |", "|---|---|---|---|---|"]
-    for folder in ("action", "srv"):
-        for path in sorted((ROOT / folder).iterdir()):
-            texts = path.read_text(encoding="utf-8").split("\n---\n")
-            for part, text in zip(_PARTS_OF[path.suffix], texts, strict=True):
-                for name, kind, comment in message_rows(text):
-                    content = comment.replace("|", r"\|")
-                    lines.append(f"| `{path.stem}` | {part} | `{name}` | {kind} | {content} |")
-    return "\n".join(lines)
-
-
 def quality_of_service() -> str:
     """Return the quality of service of each topic that the nodes describe as data."""
     described = [
@@ -247,25 +230,11 @@ def quality_of_service() -> str:
     return "\n".join(lines)
 
 
-def message_fields() -> str:
-    """Return a table of the constants and fields of each message in ``msg``."""
-    lines = ["| message | field | type | content |", "|---|---|---|---|"]
-    for path in sorted((ROOT / "msg").glob("*.msg")):
-        message = f"`{path.stem}`"
-        for name, kind, comment in message_rows(path.read_text(encoding="utf-8")):
-            content = comment.replace("|", r"\|")
-            lines.append(f"| {message} | `{name}` | {kind} | {content} |")
-            message = ""
-    return "\n".join(lines)
-
-
 PART = re.compile(
     r"<!-- generated: (?P<name>[\w ]+) -->\n.*?\n?<!-- end of generated -->", re.DOTALL
 )
 #: What stands between ``<!-- generated: NAME -->`` and ``<!-- end of generated -->``, on any page.
 PARTS: dict[str, Callable[[], str]] = {
-    "fields": message_fields,
-    "fields of services": service_fields,
     "quality of service": quality_of_service,
     "rules": table_of_rules,
     "commands": tables_of_commands.commands,

@@ -42,6 +42,25 @@ GROUPS = {
     },
 }
 
+#: Titles in a command's help, and the options below them; others stand below "options".
+OPTIONS = {
+    "what is asked for": (
+        *("--minimize", "--maximize", "--approach", "--capture-range", "--pick", "--window"),
+        *("--allow-leaving", "--allow-passing", "--stroke-limit", "--torsion-limit"),
+        *("--peak-force", "--limit", "--costs", "--fit", "--predict", "--placement"),
+    ),
+    "what is varied, and what is uncertain": (
+        *("--free", "--vary", "--under", "--correlate", "--calibrated", "--confidence", "--draws"),
+        *("--weighed", "--uncertain", "--edges", "--runs", "--sample"),
+    ),
+    "recordings": ("--scene", "--waive", "--release", "--remap", "--memory", "--trial", "--until"),
+    "how it is computed": (
+        *("--workers", "--scheduler", "--seed", "--candidates", "--from", "--resume", "--check"),
+        *("--restarts", "--touches"),
+    ),
+    "what is written": ("--out", "--overwrite", "--json", "--no-record", "--verbose", "--to"),
+}
+
 #: Commands of earlier versions, and what does their work now.
 FORMER = {"identify": "calibrate RUN.mcap --fit NAME ..."}
 

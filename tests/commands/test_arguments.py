@@ -22,8 +22,8 @@ from hypothesis import strategies as st
 
 from capture_sim import SceneError, load_scene
 from capture_sim.base.exit_status import BAD_INPUT
-from capture_sim.cli import main
-from capture_sim.commands import COMMANDS, GROUPS
+from capture_sim.cli import command_parser, main
+from capture_sim.commands import COMMANDS, GROUPS, OPTIONS
 from capture_sim.studies.axes import FAMILIAR, make_axis
 
 EXAMPLES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "25"))
@@ -290,3 +290,20 @@ def test_help_loads_no_library():
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout.endswith("[]\n"), done.stdout[-200:]
+
+
+def test_titles_in_help_are_of_options_that_exist():
+    known = {
+        option
+        for name in COMMANDS
+        for action in command_parser(name)._actions
+        for option in action.option_strings
+    }
+    assert not {option for options in OPTIONS.values() for option in options} - known
+
+
+def test_a_former_command_is_led_to_what_does_its_work(capsys):
+    assert main(["identify", "run.mcap", "c_rr"]) == BAD_INPUT
+    line = capsys.readouterr().err
+    assert "run capture-sim calibrate RUN.mcap --fit NAME" in line
+    assert line.count("\n") == 1
