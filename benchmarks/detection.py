@@ -300,12 +300,31 @@ def alarms(k):
         return [d.line for d in read_run(path, scene=load_scene(scene, list(changes))).doubts]
 
 
+def scales(k):
+    """Return whether a stroke of half and of double the scale is named in a drawn recording."""
+    rng = np.random.default_rng([72, k])
+    scene, changes, _, records, _ = drawn(rng, has_faults=False)
+    named = []
+    with TemporaryDirectory() as folder:
+        for factor in (0.5, 2.0):
+            scaled = dirty.changed(records, dirty.JOINTS, dirty.scaled_stroke(factor))
+            path = dirty.write_mcap(Path(folder) / f"{factor}.mcap", scaled)
+            doubts = read_run(path, scene=load_scene(scene, list(changes))).doubts
+            named.append(any("scale" in d.line or d.grade.value == "refused" for d in doubts))
+    return named
+
+
 def clean(asked, _):
     """Rules of plausibility in recordings without a fault."""
     lines = parallel(asked, alarms, range(asked.bounds))
     print(*(line for found in lines for line in found), sep="\n")
     wrong = sum(map(bool, lines))
-    return [f"A rule is broken in {wrong} of {asked.bounds} drawn recordings without a fault."]
+    half, double = np.sum(parallel(asked, scales, range(asked.bounds)), axis=0)
+    return [
+        f"A rule is broken in {wrong} of {asked.bounds} drawn recordings without a fault. With a "
+        f"stroke of half its scale the scale is named, or the recording refused, in {half}, with "
+        f"the double in {double}."
+    ]
 
 
 def bounds(asked, _):

@@ -233,6 +233,16 @@ def off_zero(stroke: float, torsion: float) -> Callable[[Any, float], None]:
     return change
 
 
+def scaled_stroke(factor: float) -> Callable[[Any, float], None]:
+    """Return a change that scales the stroke."""
+
+    def change(message: Any, _: float) -> None:
+        factors = [factor if name == "buffer_slide" else 1.0 for name in message.name]
+        message.position = message.position * factors
+
+    return change
+
+
 def _stuck(since: float) -> Callable[[Any, float], None]:
     def change(message: Any, t: float) -> None:
         if t >= since:
@@ -378,6 +388,8 @@ CHANGES: dict[str, Callable[[Iterable[Record]], Records]] = {
     "joints_exchanged": lambda r: changed(r, JOINTS, _joints_exchanged),
     "hole_at_contact": lambda r: [each for each in r if not 2.3 < each.t < 3.3],
     "encoder_off_zero": lambda r: changed(r, JOINTS, off_zero(-3e-3, 30e-3)),
+    "stroke_halved": lambda r: changed(r, JOINTS, scaled_stroke(0.5)),
+    "stroke_doubled": lambda r: changed(r, JOINTS, scaled_stroke(2.0)),
     "encoder_stuck": lambda r: changed(r, JOINTS, _stuck(-np.inf)),
     "encoder_stuck_in_flight": lambda r: changed(r, JOINTS, _stuck(1.5)),
     "cell_drifts": lambda r: changed(r, CELL, _drifting),

@@ -21,6 +21,8 @@ MAX_ZERO, MAX_REST_FORCE, REST_TIME = 50.0, 3.0, 0.5
 #: Saturation shows in this number of successive samples with the same largest value, or in that
 #: value being reached this number of times.
 _SATURATED, _TIMES = 4, 4
+#: A cell is loaded if it shows this much more than at rest, N.
+_LOADED = 1.0
 #: A repeated value is one that comes this many times in a row.
 _REPEATED = 2
 #: A force that begins while the tip is further than this from the walls has another cause, m.
@@ -109,11 +111,14 @@ def _repeats_under_load(motion: MeasuredMotion, values: np.ndarray) -> bool:
     if force is None or begin is None:
         return False
     t = force.t[force.is_measured]
-    rows = [
-        _rows((np.diff(values[part], axis=0) == 0.0).all(axis=1))
-        for part in (t < begin - 0.05, t >= begin - 0.05)
-    ]
-    return not len(rows[0]) and int((rows[1] >= _REPEATED - 1).sum()) >= _TIMES
+    is_before = t < begin - 0.05
+    at_rest = np.median(values[is_before], axis=0) if is_before.any() else np.zeros(2)
+    # a cell without noise repeats what it shows at rest
+    is_loaded = np.hypot(*(values - at_rest).T) > _LOADED
+    repeats = (np.diff(values, axis=0) == 0.0).all(axis=1)
+    rows = _rows(repeats & is_loaded[1:] & ~is_before[1:])
+    always = (repeats & is_before[1:] & (values[1:] != at_rest).any(axis=1)).any()
+    return not always and int((rows >= _REPEATED - 1).sum()) >= _TIMES
 
 
 def _rows(is_so: np.ndarray) -> np.ndarray:

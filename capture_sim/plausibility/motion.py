@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from capture_sim.plausibility.axes import FORCE_FRAMES, frame_of
-from capture_sim.plausibility.measured import Deflections, Forces, Measured, Poses
+from capture_sim.plausibility.measured import Channel, Deflections, Forces, Measured, Poses
 from capture_sim.plausibility.signals import (
     AWAY,
     MIN_REST,
@@ -217,7 +217,7 @@ class MeasuredMotion:
         order = np.argsort(t, kind="stable")
         t, values = t[order], values[order]
         nothing = np.zeros(len(self.pair.t))
-        ahead = np.interp(t, self.pair.t, self._tip(nothing, nothing)[0])
+        ahead = np.interp(t, self.pair.t, self.tip(nothing, nothing)[0])
         before = (t >= self.pair.t[0]) & (t <= self.pair.t[self.approach][-1])
         return np.asarray(values[before & (ahead > self.scene.cone.mouth + AWAY)])
 
@@ -235,7 +235,7 @@ class MeasuredMotion:
         assert self.pair is not None
         assert self.scene is not None
         scene = self.scene
-        ahead, beside = self._tip(stroke, torsion)
+        ahead, beside = self.tip(stroke, torsion)
         R_c, L_c, cos_b, sin_b = scene.cone.wall
         radius = scene.probe.tip_radius
         deepest = np.full(len(ahead), -np.inf)
@@ -248,7 +248,7 @@ class MeasuredMotion:
             deepest = np.maximum(deepest, depth)
         return deepest
 
-    def _tip(self, stroke: np.ndarray, torsion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def tip(self, stroke: np.ndarray, torsion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the position of the tip's centre relative to the centre of BE, (n,) each, m.
 
         The first array is the position along the cone's axis, positive towards the cone's mouth.
@@ -276,7 +276,7 @@ class MeasuredMotion:
         assert self.pair is not None
         assert self.scene is not None
         zero = np.zeros(len(self.pair.t))
-        ahead, beside = self._tip(zero, zero)
+        ahead, beside = self.tip(zero, zero)
         R_c, L_c, cos_b, sin_b = self.scene.cone.wall
         gaps = []
         for side in (1.0, -1.0):
@@ -381,13 +381,14 @@ class MeasuredMotion:
         found = np.flatnonzero(self.stiff_gap < _NEAR + 3.0 * self.pose_noise)
         return float(self.smooth_times[found[0]]) if found.size else None
 
-    def is_tracked(self, begin: float, end: float) -> bool:
-        """Return True if poses cover the time from ``begin`` to ``end``, s, without a gap.
+    def is_tracked(self, begin: float, end: float, by: Channel | None = None) -> bool:
+        """Return True if poses, or a source, cover ``begin`` to ``end``, s, without a gap.
 
         A gap is 0.05 s or longer.  True also if ``end`` is not after ``begin``.
         """
         assert self.pair is not None
-        t = self.pair.t[(self.pair.t >= begin) & (self.pair.t <= end)]
+        t = self.pair.t if by is None else np.sort(by.t[by.is_measured])
+        t = t[(t >= begin) & (t <= end)]
         steps = np.diff(np.concatenate([[begin], t, [end]]))
         return float(steps.max(initial=0.0)) < _TRACKED
 

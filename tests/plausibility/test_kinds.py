@@ -36,6 +36,8 @@ RULES_OF = {
     "joints_exchanged": {"buffer_against_poses"},
     "hole_at_contact": {"gap"},
     "encoder_off_zero": {"buffer_zero"},
+    "stroke_halved": {"buffer_scale"},
+    "stroke_doubled": {"buffer_scale"},
     "encoder_stuck": {"buffer_against_poses"},
     "encoder_stuck_in_flight": {"buffer_against_poses"},
     "cell_drifts": set(),  # it is slow, and removed
@@ -52,7 +54,7 @@ RULES_OF = {
     "cell_turned_by_90": {"force_impulse"},
     "cell_inverted_at_250_hz": {"force_impulse"},
     "cell_in_counts": {"force_impulse"},
-    "cell_repeats_when_loaded": {"force_impulse"},  # touches of a single sample
+    "cell_repeats_when_loaded": {"force_impulse", "force_saturated"},
 }
 
 

@@ -48,6 +48,7 @@ def test_a_hole_is_in_the_bounds_of_what_it_may_hide(lost, why, width, tmp_path)
     assert bounds.low + offset <= CONTACT <= bounds.high + offset
     assert bounds.high - bounds.low < width
     assert bounds.why == why
+    assert {doubt.rule.name for doubt in run.doubts} == ({"gap"} if lost else set())
     assert bounds.low <= run.first_contact.t <= bounds.high
     assert run.summary["first_contact_time_low"] == bounds.low
     assert run.summary["first_contact_time_high"] == bounds.high
