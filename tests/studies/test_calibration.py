@@ -28,7 +28,7 @@ from capture_sim.studies.calibration.candidates import FIELDS, Score, possible
 from capture_sim.studies.calibration.checks import convergence, direction_words
 from capture_sim.studies.calibration.descent import EndedSearch, Found
 from capture_sim.studies.calibration.files import as_data, read_calibrated, scene_text
-from capture_sim.studies.calibration.frame import Frame
+from capture_sim.studies.calibration.frame import NO_FRAME, Frame, in_frame_of_scene
 from capture_sim.studies.calibration.joint import Linear, Problem, inverse
 from capture_sim.studies.calibration.new_trial import agreement_of
 from capture_sim.studies.calibration.parameters import Weighed, parameters_of, read_weighed
@@ -408,6 +408,12 @@ def test_a_trial_agrees_with_a_calibration_that_held_values_wrong(tmp_path):
     coming = measured_trial(short_scene(0.1), true, 9)
     agreement = agreement_of(coming, calibrated, Placement(2e-4, 1e-3))
     assert agreement.agrees, agreement.sentence
+
+
+def test_a_target_at_another_angle_is_no_frame():
+    """Before, a target of a trial that stood at -13 degrees turned 'the frame' by 4.3 degrees."""
+    trial = capture_sim.simulate("tilt_p10", "sensors.motion_capture={}")
+    assert in_frame_of_scene(trial, load_scene("tilt_m10"))[1] == NO_FRAME
 
 
 @pytest.mark.parametrize("frame", [Frame(0.0, 0.1, 0.0), Frame(0.5), Frame(2.5, 0.3, -0.2)])

@@ -90,16 +90,21 @@ def _frame(run: Run, scene: Scene) -> Frame:
     measured = np.array(first)
     starts = (scene.initial.chaser, scene.initial.target)
     known = np.array([_pose(state) for state in starts])
-    # three directions: of both headings, and of the line between the vehicles
-    angles = [*(known[:, 2] - measured[:, 2]), _bearing(known) - _bearing(measured)]
-    angle = math.atan2(np.sin(angles).mean(), np.cos(angles).mean())
+    # three directions: of both headings, and of the line between the vehicles; the median, because
+    # a target that a trial has placed at another angle turns no frame
+    angles = np.array([*(known[:, 2] - measured[:, 2]), _bearing(known) - _bearing(measured)])
+    angle = angles[0] + float(np.median(_wrapped(angles - angles[0])))
     turned = Frame(angle).applied(measured)
     shift = (known - turned)[:, :2].mean(axis=0)
-    return Frame(angle, *shift.tolist())
+    return Frame(float(_wrapped(np.array(angle))), *shift.tolist())
 
 
 def _pose(state: PlanarState) -> tuple[float, float, float]:
     return state.x, state.y, state.theta
+
+
+def _wrapped(angles: np.ndarray) -> np.ndarray:
+    return np.asarray(np.arctan2(np.sin(angles), np.cos(angles)))
 
 
 def _bearing(poses: np.ndarray) -> float:
