@@ -193,9 +193,11 @@ def _draw_over_time(
         elif quantity is STROKE:
             inwards, outwards = (loads[f"max_axial_stroke_{side}"] * 1e3 for side in ("in", "out"))
             titles.append(f"Axial buffer: whole run {inwards:.2f} mm in, {outwards:.2f} mm out")
+            _mark_peaks(axes, plotted, "axial_stroke", ("axial_stroke_in", "axial_stroke_out"), 1e3)
         else:
             largest = loads["max_torsion"] * 1e3
             titles.append(f"Torsional buffer: whole run up to {largest:.2f} mrad")
+            _mark_peaks(axes, plotted, "torsion", ("torsion",), 1e3)
     touches = source.every_touch(run)
     touching = [(start, end - start) for start, end in touches[["start", "end"]].tolist()]
     for axes, title in zip(all_axes, titles, strict=True):
@@ -218,6 +220,17 @@ def _draw_over_time(
     all_axes[-1].set_xlabel(
         f"time since the {source.start_word(plotted.scene)}  [s]   (shaded: {shaded})"
     )
+
+
+def _mark_peaks(
+    axes: Axes, plotted: PlottedRun, field: str, names: Sequence[str], factor: float
+) -> None:
+    """Mark the loads that a title names on the curve of a field of the samples."""
+    samples = plotted.run.samples
+    times = [plotted.run.loads[f"max_{name}_time"] for name in names]
+    at = np.array([t for t in times if t is not None])
+    values = np.interp(at, samples["t"], samples[field])
+    axes.plot(at, factor * values, "o", color=plotted.colour, ms=5)
 
 
 def _draw_force(axes: Axes, plotted: PlottedRun) -> None:

@@ -92,11 +92,18 @@ def strongest(run: Run) -> tuple[float, float]:
     return float(touch["peak_time"]), float(touch["peak_force"])
 
 
+#: Times of the loads that pictures name.
+_NAMED = tuple(f"max_{name}_time" for name in ("axial_stroke_in", "axial_stroke_out", "torsion"))
+#: By how much they may lengthen the time that is drawn.
+_LONGER = 4.0
+
+
 def time_window(run: Run) -> tuple[float, float]:
     """Return the start and end of the time that is drawn by default, s since the release.
 
-    It contains the touches, the latch's closing and the verdict, with a margin of 12 % (at least
-    12 ms) on either side, as far as there are samples.  If the detector has given statuses but no
+    It contains the touches, the latch's closing, the verdict and the largest strokes and torsion
+    (unless these make it :data:`_LONGER` times as long), with a margin of 12 % (at least 12 ms) on
+    either side, as far as there are samples.  If the detector has given statuses but no
     verdict, e.g. because the run ended early, it extends to the last sample.  Of a run without a
     touch, or without samples in this time, it is the time of all samples.
     """
@@ -112,6 +119,8 @@ def time_window(run: Run) -> tuple[float, float]:
         times.append(decided)
     elif run.statuses:
         times.append(float(t[-1]))
+    limit = min(times) + _LONGER * max(max(times) - min(times), 0.1)
+    times += [at for at in map(run.loads.get, _NAMED) if at is not None and min(times) < at < limit]
     # a verdict may even precede the touch
     margin = 0.12 * max(max(times) - min(times), 0.1)
     start, end = max(float(t[0]), min(times) - margin), min(float(t[-1]), max(times) + margin)

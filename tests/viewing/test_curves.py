@@ -286,6 +286,16 @@ def test_the_window_has_the_contact_and_the_verdict(runs):
         assert decided_at(run) == final[0]
         start, end = time_window(run)
         assert start < run.touches["start"].min() < final[0] < end
+        # ... and what the titles name
+        for load in ("max_axial_stroke_in", "max_axial_stroke_out", "max_torsion"):
+            at = run.loads[f"{load}_time"]
+            assert at is None or start < at < end
+
+
+def test_a_run_that_swings_on_for_long_does_not_make_its_touches_a_line():
+    run = capture_sim.simulate("tilt_0", {"buffer.c_A": 0.0, "run.t_end": 40.0})
+    start, end = time_window(run)
+    assert end - start < 8.0 * (decided_at(run) - run.touches["start"].min())
 
 
 def test_snapshots_show_start_and_first_touch_in_the_state_of_the_run(runs):
