@@ -41,6 +41,7 @@ from capture_sim.viewing.figures import sheet
 _MM = 1e3  # in a metre: drawings are in mm
 #: Points; sizes of a block in inches.
 _FONT = 13.5
+_ENDS = np.array([-1.0, 1.0])
 _BLOCK = 13.53  # inches, height of a run in the overview, without its title
 _COLUMN = 40  # letters of a title that a column of the overview is wide
 _SMALLEST_FORCE = 0.05  # N, lower end of the logarithmic axis
@@ -145,6 +146,10 @@ def _draw_trajectory(axes: Axes, plotted: PlottedRun, title: str) -> None:
     moments = key_moments(plotted.run)
     draw_trajectory(axes, [plotted])
     draw_tip(axes, plotted.scene, moments, plotted.colour)
+    if first_touch(plotted.run.events) is None:
+        _widen(axes, [moment.place * _MM for moment in moments])
+        path = shapes.tip_in_cone(plotted.run.samples) * _MM  # also outside of the usual range
+        axes.plot(*path.T, "--", color=plotted.colour, lw=2.0)
     dress(axes, None, _FONT)
     axes.set_title(title, fontsize=_FONT + 1, y=1.0)
     axes.text(
@@ -163,6 +168,16 @@ def _draw_trajectory(axes: Axes, plotted: PlottedRun, title: str) -> None:
     )
 
 
+def _widen(axes: Axes, places: Sequence[np.ndarray]) -> None:
+    """Enlarge the drawn range about its middle until it has all places, (2,) each, mm."""
+    low, high = np.array([axes.get_xlim(), axes.get_ylim()]).T
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    share = max(float((np.abs(place - middle) / half).max()) for place in places)
+    if share > 1.0:
+        half = half * 1.35 * share
+        axes.set(xlim=middle[0] + half[0] * _ENDS, ylim=middle[1] + half[1] * _ENDS)
+
+
 def _draw_over_time(
     all_axes: Sequence[Axes], plotted: PlottedRun, quantities: Sequence[Quantity]
 ) -> None:
@@ -172,7 +187,10 @@ def _draw_over_time(
     """
     run, window = plotted.run, source.time_window(plotted.run)
     loads = run.loads
-    if source.has_force(run):
+    if source.has_force(run) and first_touch(run.events) is None:
+        titles = ["Contact force: no touch"]
+        all_axes[0].set_yticks([])
+    elif source.has_force(run):
         titles = [f"Contact force: up to {source.strongest(run)[1]:.0f} N (markers: peaks)"]
         _draw_force(all_axes[0], plotted)
     else:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from capture_sim.detection.criteria import CaptureState
 from capture_sim.dynamics.samples import EventKind
 from capture_sim.errors import CaptureSimError
 from capture_sim.run.first_contact import first_touch, impact_speed
@@ -166,6 +167,8 @@ def headline(run: Run, label: str | None = None, width: int = 95) -> str:
         name += f" ({scene})"
     speed = impact_speed(run.events)
     impact = "no touch" if speed is None else f"impact at {speed:.3f} m/s"
+    if speed is None and verdict(run) == CaptureState.UNDECIDED.label:
+        impact = "ended before a contact"
     if speed is not None and math.isnan(speed):
         impact = "impact speed not measured"
     lines = [f"{name}: {verdict(run)}, {impact}"]

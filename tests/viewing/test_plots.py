@@ -132,6 +132,18 @@ def test_a_run_and_its_recording_give_one_picture_and_the_files_are_reproducible
         assert one.read_bytes() == other.read_bytes()
 
 
+def test_a_run_that_misses_shows_its_path_and_where_it_was_closest():
+    missed = capture_sim.simulate("paper_designed", {"initial.target.y": 0.15})
+    _, cone, force, *_ = plots.draw_run(missed).axes
+    (low, high), place = cone.get_ylim(), plots.key_moments(missed)[0].place
+    assert low < 1e3 * place[1] < high
+    lengths = [np.ptp(line.get_xdata()) for line in cone.lines if len(line.get_xdata())]
+    assert max(lengths) > 200.0  # its path, mm
+    assert force.get_title() == "Contact force: no touch"
+    ended = capture_sim.simulate("tilt_0", {"run.t_end": 1.0})
+    assert "undecided, ended before a contact" in plots.draw_run(ended).get_suptitle()
+
+
 def test_located_peaks_are_marked_on_the_force(tmp_path):
     force = plots.draw_run(undamped()).axes[2]
     touches = undamped().touches
