@@ -34,7 +34,13 @@ from capture_sim.run.run import Run
 from capture_sim.scene.files import scene_names
 from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.calibration.calibrate import TOUCHES, Calibration, calibrate, predicted
+from capture_sim.studies.calibration.calibrate import (
+    INSEPARABLE,
+    TOUCHES,
+    Calibration,
+    calibrate,
+    predicted,
+)
 from capture_sim.studies.calibration.candidates import NAMED
 from capture_sim.studies.calibration.descent import RESTARTS
 from capture_sim.studies.calibration.files import JSON, SCENE, as_data, scene_text
@@ -299,7 +305,7 @@ def _print(found: Calibration) -> None:
     print_table(HEAD, parameter_rows(found))
     for i, first in enumerate(found.names):
         for j, second in enumerate(found.names[:i]):
-            if abs(found.correlation[i, j]) > 0.95:
+            if abs(found.correlation[i, j]) > INSEPARABLE:
                 echo(f"{second} and {first} are hard to separate: {found.correlation[i, j]:+.3f}")
     print_starts(found)
     for line in (*found.notes, *held_lines(found), *_test_lines(found)):

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.patches import Rectangle
 
 from capture_sim.run.series import PARTS
+from capture_sim.studies.calibration.calibrate import INSEPARABLE
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import dress, new_figure, subplots
 
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 
 #: Residuals beyond this number of standard deviations are drawn at this number.
 _SHOWN = 6.0
+#: Series that rest before the contact.
+_BUFFER = ("stroke", "torsion")
 #: A measured series of twice this number of points or more is drawn with fewer.
 _MAX_POINTS = 3000
 
@@ -89,9 +93,13 @@ def _draw_correlation(found: Calibration) -> Figure:
             value = found.correlation[i, j]
             colour = "white" if abs(value) > 0.6 else style.BLACK
             axes.text(j, i, f"{value:.2f}", ha="center", va="center", color=colour, fontsize=8.5)
+            if i != j and abs(value) > INSEPARABLE:
+                frame = Rectangle((j - 0.5, i - 0.5), 1.0, 1.0, fill=False, ec=style.ORANGE, lw=2.5)
+                axes.add_patch(frame)
     axes.set_xticks(range(count), found.names, rotation=45, ha="right")
     axes.set_yticks(range(count), found.names)
-    axes.set_title("Correlation of the errors", fontsize=13)
+    title = f"Correlation of the errors\nframed: beyond {INSEPARABLE:g}, hard to separate"
+    axes.set_title(title, fontsize=12)
     figure.colorbar(drawn, ax=axes, shrink=0.8)
     return figure
 
@@ -106,6 +114,12 @@ def _draw_prediction(prediction: Prediction) -> Figure:
         each.fill_between(prediction.t, low, high, color=style.SKY, alpha=0.5, lw=0, label="95 %")
         each.plot(prediction.t, middle, "-", color=style.BLUE, lw=1.3, label="calibrated values")
         each.set_ylabel(f"{name}  [{part.unit}]")
+        peaks = [int(middle.argmin()), int(middle.argmax())]
+        each.plot(prediction.t[peaks], middle[peaks], "o", color=style.BLUE, ms=5)
+    moved = [np.abs(prediction.series[name][1]) > 1e-5 for name in names if name in _BUFFER]
+    if moved and np.any(moved):  # before the contact the buffer is at rest
+        begin, end = float(prediction.t[np.any(moved, axis=0)][0]), float(prediction.t[-1])
+        axes[0, 0].set_xlim(begin - 0.1 * (end - begin), end)
     placement = prediction.placement
     how = (
         "placed exactly"

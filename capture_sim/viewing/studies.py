@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from capture_sim.errors import CaptureSimError
+from capture_sim.run.run import Run
 from capture_sim.run.series import NO_SERIES, Series
 from capture_sim.run.touches import Touches
 from capture_sim.studies.paper_flow import FirstContactDesign
-from capture_sim.viewing import style
+from capture_sim.viewing import source, style
 from capture_sim.viewing.canvas import subplots
 from capture_sim.viewing.curves import STROKE, TORSION
 
@@ -147,6 +150,11 @@ def draw_comparison(runs: Sequence[Side], labels: Sequence[str], window: float) 
                 for at in (t, np.zeros(1))
             )
             relative.plot(t, (gap - at_contact) * 1e3, **look)
+    for axes, key, quantity in ((stroke, "stroke", STROKE), (torsion, "torsion", TORSION)):
+        _draw_difference(axes, runs, key, quantity.factor, (first, window))
+    figure.suptitle(
+        "\n".join(_headline(name, side.run) for name, side in zip(labels, runs, strict=True))
+    )
     force.set_ylabel("peak of each touch\n[N]")
     if any(run.touches is not None for run in runs):
         text = "bar under a stem: as wide as the touch, its area is the impulse"
@@ -166,6 +174,27 @@ def draw_comparison(runs: Sequence[Side], labels: Sequence[str], window: float) 
         axes.axvline(0.0, color=style.GREY, linewidth=0.8)
     figure.align_ylabels()
     return figure
+
+
+def _headline(name: str, run: Run) -> str:
+    """Return the name of a run and its verdict, if its measurements give one."""
+    with suppress(CaptureSimError):  # without a scene, or with doubts that refuse it
+        return f"{name}: {source.verdict(run)}"
+    return name
+
+
+def _draw_difference(
+    axes: Axes, runs: Sequence[Side], key: str, factor: float, shown: tuple[float, float]
+) -> None:
+    """Draw a series of the second run less that of the first, if both have it."""
+    if not all(key in side.series for side in runs):
+        return
+    a, b = ((side.series[key].t - side.contact, side.series[key].values) for side in runs)
+    low, high = max(shown[0], a[0][0], b[0][0]), min(shown[1], a[0][-1], b[0][-1])
+    t = a[0][(a[0] >= low) & (a[0] <= high)]
+    difference = np.interp(t, *b) - np.interp(t, *a)
+    axes.plot(t, difference * factor, color=style.GREY, linewidth=1.0, label="B - A")
+    axes.legend(loc="lower left", frameon=False, fontsize="small")
 
 
 def draw_touches(ax: Axes, touches: Touches, label: str, colour: str, mark: str) -> None:

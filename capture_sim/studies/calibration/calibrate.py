@@ -80,6 +80,8 @@ STARTS = tuple(f"initial.{v}.{name}" for v in ("chaser", "target") for name in (
 #: Number of first touches that are fitted; default standard deviations of their times, s, and
 #: peak forces, N, if the recording gives none.
 TOUCHES, TOUCH_NOISE = 4, (2e-4, 2.0)
+#: Two parameters are hard to separate if their errors are correlated more than this.
+INSEPARABLE = 0.95
 #: Assumed number of linear fits in a joint fit, for the estimate of its number of simulations.
 _LINEAR_FITS = 50
 #: Largest number of lacking parameters, which are added one at a time, and largest number of
