@@ -189,8 +189,8 @@ class RecorderNode(BenchNode, RunPart):
                 log = self.get_logger()
                 # others may be many, and the launcher waits
                 ResultsTable(path.parent, log.warning).update([row], reads_others=False)
-        except CaptureSimError as error:
-            self.get_logger().warning(f"{path.parent}: the table of trials: {error}")
+        except (CaptureSimError, OSError, ValueError) as error:  # the recording itself is whole
+            self.get_logger().warning(f"{path.parent}: the table of trials: {one_line(str(error))}")
 
     def cancel(self, run: AnnouncedRun, end: RunEnd) -> RunReport:
         """Leave a run that has not begun or has failed; close the file, if one was opened."""

@@ -151,6 +151,9 @@ def test_what_trials_lack_and_what_is_not_used_is_said():
     series = {name: by for name, by in trials[1].series.items() if name != "torsion"}
     found = calibrate([trials[0], trials[1].replaced(series=series)], NAMES, restarts=0)
     assert any("trial 1: no torsion: " in note for note in found.notes)
+    assert not any("placed alike" in note for note in found.notes)
+    twice = [measured_trial(short_scene(), {}, seed, name=f"trial {seed}") for seed in range(2)]
+    assert "trial 0, trial 1: placed alike, " in calibrate(twice, ["c_rr"], restarts=0).notes[-1]
 
 
 def test_candidates_that_trials_do_not_tell_apart_are_named_together():

@@ -48,6 +48,7 @@ from capture_sim.studies.calibration.descent import (
     sigma_of,
     step_covariance,
 )
+from capture_sim.studies.calibration.frame import first_poses
 from capture_sim.studies.calibration.held import Held, held_of, held_parameters, uncertainties
 from capture_sim.studies.calibration.joint import Linear, Problem, inverse
 from capture_sim.studies.calibration.parameters import (
@@ -80,6 +81,8 @@ STARTS = tuple(f"initial.{v}.{name}" for v in ("chaser", "target") for name in (
 #: Number of first touches that are fitted; default standard deviations of their times, s, and
 #: peak forces, N, if the recording gives none.
 TOUCHES, TOUCH_NOISE = 4, (2e-4, 2.0)
+#: Trials whose targets are placed within this, m to the side and rad, are placed alike.
+ALIKE = (2e-3, 0.01)
 #: Two parameters are hard to separate if their errors are correlated more than this.
 INSEPARABLE = 0.95
 #: Assumed number of linear fits in a joint fit, for the estimate of its number of simulations.
@@ -377,7 +380,24 @@ def _notes(runs: Sequence[Run], trials: Sequence[FittedTrial]) -> tuple[str, ...
             if trial.touches is None:
                 words = "the contact force is not used: its touches are not resolved"
             found.setdefault(words, []).append(Path(trial.name).name)
+    placed = [_placement(poses) for run in runs if (poses := first_poses(run)) is not None]
+    if len(placed) > 1 and (np.ptp(placed, axis=0) < ALIKE).all():
+        words = (
+            "placed alike, so that they tell parameters apart no better than one: place the target "
+            "at other angles"
+        )
+        found.setdefault(words, [Path(trial.name).name for trial in trials])
     return tuple(f"{', '.join(names)}: {words}" for words, names in found.items())
+
+
+def _placement(poses: np.ndarray) -> tuple[float, float]:
+    """Return how far the target is to the side of the chaser's axis, m, and its angle to it, rad.
+
+    ``poses`` (2, 3) are those of chaser and target.
+    """
+    (x, y, theta), (to_x, to_y, angle) = poses
+    beside = math.cos(theta) * (to_y - y) - math.sin(theta) * (to_x - x)
+    return beside, math.remainder(angle - theta, 2.0 * math.pi)
 
 
 def _touches_of(run: Run, count: int) -> Touches | None:

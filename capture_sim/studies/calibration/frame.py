@@ -76,18 +76,25 @@ def in_frame_of_scene(run: Run, scene: Scene) -> tuple[Run, Frame]:
     return run.replaced(series=changed), frame
 
 
-def _frame(run: Run, scene: Scene) -> Frame:
-    """Return the rigid motion of the first poses to the start poses of the scene."""
+def first_poses(run: Run) -> np.ndarray | None:
+    """Return the first poses of chaser and target, (2, 3), m, m and rad; None if one has none."""
     first = []
     for vehicle in ("chaser", "target"):
         series = run.measured(vehicle)
         if not series.t.size:
-            return NO_FRAME
+            return None
         kept = series.values[series.t <= series.t[0] + _FIRST]
         theta = kept[:, 2]
         heading = math.atan2(np.sin(theta).mean(), np.cos(theta).mean())
         first.append([*np.median(kept[:, :2], axis=0), heading])
-    measured = np.array(first)
+    return np.array(first)
+
+
+def _frame(run: Run, scene: Scene) -> Frame:
+    """Return the rigid motion of the first poses to the start poses of the scene."""
+    measured = first_poses(run)
+    if measured is None:
+        return NO_FRAME
     starts = (scene.initial.chaser, scene.initial.target)
     known = np.array([_pose(state) for state in starts])
     # three directions: of both headings, and of the line between the vehicles; the median, because
