@@ -483,8 +483,9 @@ class Run(ABC):
         ):
             kept = (t >= chaser[0]) & (t <= end)
             found[key] = peak_bounds(t[kept], values[kept], begin, end, float(error))
-        if force.t.size:
-            low = self.loads["max_normal_force"] - DEVIATIONS * max(map(noise, force.values.T))
+        peak = self.loads["max_normal_force"]
+        if force.t.size and peak is not None:
+            low = peak - DEVIATIONS * max(map(noise, force.values.T))
             found["max_normal_force"] = Bounds(max(low, 0.0), math.inf)
         return found
 
