@@ -7,7 +7,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from capture_sim.plausibility.check import check_names
 from capture_sim.plausibility.measured import Deflections, Forces, Measured, Poses
+from capture_sim.plausibility.motion import MeasuredMotion
+from capture_sim.plausibility.rules import Grade, examine
+
+
+def check(measured, scene=None, waived=()):
+    """Return every doubt about measurements, the gravest grade first."""
+    check_names(waived)
+    doubts = examine(MeasuredMotion(measured, scene), waived).doubts
+    return tuple(sorted(doubts, key=lambda doubt: list(Grade).index(doubt.grade)))
+
 
 #: Largest number of measurements that are kept of a source.
 MAX_KEPT = 4000
@@ -31,7 +42,7 @@ class LiveMeasurements:
     """Store of the messages of the last ``span`` seconds, for the rules of plausibility.
 
     Add each message when it arrives.  Before a decision, e.g. about the release, call
-    :func:`capture_sim.plausibility.check.check` with :meth:`measured`.  Adding a message costs
+    :func:`check` with :meth:`measured`.  Adding a message costs
     about a microsecond, a check of 2 s some milliseconds.
 
     There are four sources: chaser, target, buffer and force.  Of each, the messages of the last

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from capture_sim.base.files import whole_file
 from capture_sim.hardware.messages import HOLD, RIG_TIP, TIP, TIP_WRENCH
 from capture_sim.messages.topics import CHASER_CMD_WRENCH, ROLL, TARGET_CMD_WRENCH, TOPICS
-from capture_sim.plausibility.check import table_of_rules
+from capture_sim.plausibility.rules import in_order
 from capture_sim.run.simulation import simulate
 from capture_sim.scene.files import scene_names
 from capture_sim.scene.laws import CONTACT_LAWS, NEED_POSITIVE_RESTITUTION
@@ -228,6 +228,15 @@ def quality_of_service() -> str:
         kept = "transient local" if topic.transient_local else "volatile"
         lines.append(f"| `{topic.name}` | {topic.type_name} | {history} | {kept} |")
     return "\n".join(lines)
+
+
+def table_of_rules() -> str:
+    """Return the rules of plausibility as a table in Markdown."""
+    head = "| rule | grade | compares | broken | reason of the threshold |\n|---|---|---|---|---|\n"
+    return head + "".join(
+        f"| `{each.name}` | {each.grade} | {each.compares} | {each.threshold} | {each.reason} |\n"
+        for each in in_order()
+    )
 
 
 PART = re.compile(

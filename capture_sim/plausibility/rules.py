@@ -73,8 +73,17 @@ class Doubt:
         return f"{self.topic}: {self.grade} ({self.rule.name}): {self.text}"
 
 
-#: Every rule by its name.  ``check.py`` puts them in the order in which they are checked.
+#: Every rule by its name.
 RULES: dict[str, Rule] = {}
+#: Modules of rules in the order of their check: each may rely on those before it.
+_MODULES = ("sources", "units", "frames", "clocks", "buffer", "force")
+
+
+def in_order() -> list[Rule]:
+    """Return all rules in the order in which they are checked."""
+    return sorted(
+        RULES.values(), key=lambda each: _MODULES.index(each.check.__module__.rpartition(".")[2])
+    )
 
 
 def rule(
@@ -126,13 +135,13 @@ NEEDS: dict[str, Callable[[MeasuredMotion], str]] = {
 
 
 def examine(motion: MeasuredMotion, waived: Iterable[str] = ()) -> Examined:
-    """Return a doubt for each finding of the rules, in the order of :data:`RULES`.
+    """Return a doubt for each finding of the rules, in the order of :func:`in_order`.
 
     A rule is not applied if ``waived`` has its name, or if something is lacking that it needs.
     Poses of which a rule of grade REFUSED has been broken are lacking.
     """
     left, doubts, unapplied, lacking = set(waived), [], [], dict[str, str]()
-    for each in RULES.values():
+    for each in in_order():
         reason = "waived" if each.name in left else ""
         for need in each.needs:
             if need not in lacking:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from live_measurements import LiveMeasurements
 
-from capture_sim.plausibility.check import check
 from capture_sim.plausibility.clocks import MAX_OFFSET
 from capture_sim.plausibility.rules import Grade
+from tests.live_measurements import check
 
 TODAY = 1_760_000_000.0  # s
 SOURCES = ("chaser", "target", "buffer", "force")

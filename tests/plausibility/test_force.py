@@ -9,10 +9,10 @@ from live_measurements import LiveMeasurements
 
 import capture_sim
 from capture_sim.plausibility.axes import FORCE_FRAMES
-from capture_sim.plausibility.check import check
 from capture_sim.plausibility.force import MAX_REST_FORCE, MAX_ZERO, REST_TIME
 from capture_sim.recording.read import read_run
 from capture_sim.run.touches import first_above
+from tests.live_measurements import check
 
 
 @pytest.fixture(scope="module")

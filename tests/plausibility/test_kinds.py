@@ -7,10 +7,10 @@ import pytest
 
 import capture_sim
 from capture_sim.errors import RecordingError
-from capture_sim.plausibility.check import check
 from capture_sim.plausibility.rules import RULES, Grade
 from capture_sim.recording.read import read_run
 from capture_sim.run.run import checked, detect
+from tests.live_measurements import check
 
 #: The rules that each kind breaks; nothing else may be said.
 RULES_OF = {

@@ -7,9 +7,9 @@ import pytest
 import rig_noise
 from live_measurements import LiveMeasurements
 
-from capture_sim.plausibility.check import check
 from capture_sim.plausibility.measured import Poses
 from capture_sim.plausibility.rules import Grade
+from tests.live_measurements import check
 
 NAMES = list(rig_noise.CASES)
 

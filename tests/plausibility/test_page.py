@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from capture_sim.plausibility.check import table_of_rules
 from capture_sim.plausibility.rules import RULES, Grade
+from tools.reference import table_of_rules
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "what_your_recording_must_hold.md"
 

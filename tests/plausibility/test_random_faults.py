@@ -9,8 +9,8 @@ import pytest
 import rig_noise
 
 from capture_sim.detection.measurements import Source
-from capture_sim.plausibility.check import check
 from capture_sim.run.verdict import LiveConditions, Received, detect_received
+from tests.live_measurements import check
 
 NAMES = list(rig_noise.CASES)
 
