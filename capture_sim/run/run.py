@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 import numpy as np
 
 from capture_sim.base.notebook import html_table
-from capture_sim.detection.criteria import CaptureStatus
+from capture_sim.detection.criteria import CaptureState, CaptureStatus
 from capture_sim.dynamics.samples import ENERGIES, Event, EventKind, Extremes
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.plausibility.motion import MIN_DEFLECTION, MeasuredMotion
@@ -293,6 +293,14 @@ class Run(ABC):
         release, shown = motion.measured.release, self._contact_shown
         bounds = contact_bounds(motion, () if shown is None else [shown.t + release])
         return None if bounds is None else bounds.later(-release)
+
+    @property
+    def begins_without_zero(self) -> bool:
+        """True if the recording of a rig begins at the walls, so that no state shows the zero."""
+        motion, bounds = self._motion, self.contact_bounds
+        if motion is None or bounds is None or math.isfinite(bounds.low):
+            return False
+        return not bool(np.isfinite(motion.zero_error).all())
 
     @property
     def _motion(self) -> MeasuredMotion | None:
@@ -806,7 +814,11 @@ def detect(
     checked(run)
     live = run.given.live._replace(is_cut=is_cut)
     received = received_in(run.series) if run.given.received is None else run.given.received
-    return detect_received(received, scene, live)
+    *earlier, last = detect_received(received, scene, live)
+    if last.state is CaptureState.STUCK and run.begins_without_zero:
+        reason = "at rest to each other, but the zero of the buffer is not known"
+        last = last._replace(state=CaptureState.UNDECIDED, reason=reason)
+    return [*earlier, last]
 
 
 def _turned(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:

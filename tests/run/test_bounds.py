@@ -83,6 +83,14 @@ def test_a_recording_that_begins_after_the_contact_does_not_know_it(first, tmp_p
     assert line.endswith("(the recording begins with the tip at the walls)")
 
 
+@pytest.mark.parametrize("number", [134, 165])
+def test_a_tip_at_rest_somewhere_is_undecided_if_the_zero_is_not_known(number):
+    """Before, these two of the drawn recordings, which begin in the contact, were 'stuck'."""
+    names, _, verdict, _ = bound(number)
+    assert {"zero", "late begin"} <= set(names)
+    assert verdict == "undecided, not captured"
+
+
 @pytest.mark.parametrize("stroke", [2e-4, 5e-3, -5e-3])
 def test_commands_agree_on_the_first_contact_whatever_the_zero(stroke, tmp_path, capsys):
     """Before, `detect` and `compare` differed by 0.25 s for a zero of 0.2 mm."""
