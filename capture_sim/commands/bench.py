@@ -62,7 +62,8 @@ def run(options: argparse.Namespace) -> int:
         )
     read = (Recorded(read_run(path), Path(path)) for path in recordings)
     runs = [one for one in read if one.run.is_exact]
-    give(folder.add(runs))
+    rows = folder.add(runs)
+    give(lambda: rows)
     with reported_if_interrupted(IMAGES_MISSING):
         folder.draw(runs)
     missing = {scene.name for scene in scenes} - {one.run.name for one in runs}

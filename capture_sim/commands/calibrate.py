@@ -386,7 +386,7 @@ def _write(found: Calibration, runs: Sequence[Run], options: argparse.Namespace)
     load_scene(path)  # what is written can be read
     echo(f"calibrated scene in {path}")
     data = as_data(found, {start.trial: _sha256(Path(start.trial)) for start in found.starts})
-    give(data)
+    give(lambda: data)
     echo(f"values, covariance and tests in {write_json(out / JSON, data)}")
     lines = [table_text(HEAD, parameter_rows(found)), ""]
     lines += [*found.notes, *held_lines(found), *_test_lines(found)]

@@ -458,7 +458,7 @@ def outcome_of(outcome: Outcome | None) -> dict[str, Any]:
 def write_design(kept: Mapping[str, Any], scene: Scene | None, folder: Path) -> None:
     """Write ``kept`` as ``design.json`` and the scene, unless it is None, as ``design.yaml``."""
     made = {"made_by": f"capture_sim {own_version()}", **kept}
-    give(made)
+    give(lambda: made)
     echo(f"every candidate in {write_json(folder / 'design.json', made)}")
     if scene is not None:
         echo(f"scene in {write_text(folder / 'design.yaml', _named(scene).to_yaml())}")

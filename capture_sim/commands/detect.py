@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
         if found.same is False and not changed and options.scene is None:
             status = status or FAILED
             echo(_why_different(found))
-    give([_as_data(found) for found in judged])
+    give(lambda: [_as_data(found) for found in judged])
     if table is not None:
         folder = options.out.resolve()
         table.add(

@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
             warn(f"{path}: {line}")
         if any(doubt.grade is Grade.REFUSED for doubt in read.doubts):
             status = status or FAILED
-    give(data)
+    give(lambda: data)
     for path, read in inspected:
         _print_judgement(path if len(options.recordings) > 1 else "", read)
     if rows:

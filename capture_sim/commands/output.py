@@ -120,9 +120,14 @@ class Progress:
 GIVEN: ContextVar[list[Any]] = ContextVar("given")
 
 
-def give(data: Any) -> None:
-    """Note the results of a command, which ``--json`` prints in place of its text."""
-    GIVEN.get([]).append(data)
+def give(make: Callable[[], Any]) -> None:
+    """Note the results of a command, which ``--json`` prints in place of its text.
+
+    ``make`` returns them; without ``--json`` it is not called.
+    """
+    given = GIVEN.get(None)
+    if given is not None:
+        given.append(make())
 
 
 def write_json(path: Path, data: Any) -> Path:

@@ -73,7 +73,8 @@ def run(options: argparse.Namespace) -> int:
                 path = write_run(result, file, overwrite=options.overwrite)
                 echo(f"{scene.name}: recorded in {path}")
             runs.append(Recorded(result, path))
-    give(folder.add(runs))
+    rows = folder.add(runs)
+    give(lambda: rows)
     if not options.no_record:
         with reported_if_interrupted(IMAGES_MISSING):
             folder.draw(runs)

@@ -260,7 +260,7 @@ def _sweep(
     echo(
         f"{len(table)} runs, seed {options.seed}: table in {write_sweep(table, options.out, about)}"
     )
-    give(table.astype(object).where(table.notna(), None).to_dict("records"))
+    give(lambda: table.astype(object).where(table.notna(), None).to_dict("records"))
     indices = _indices(samples, table, options)
     _report(scene, samples, table, indices, limits, options)
     _print_ranges(samples, ranges, limits)

@@ -224,7 +224,7 @@ def _held_ratios(motion: MeasuredMotion) -> list[tuple[float, float]]:
 )
 def buffer_scale(motion: MeasuredMotion) -> Iterator[Said]:
     """Yield a finding if the stroke's scale, or k_A, is off by about a factor of 2."""
-    held, ratio, pair = _held_ratios(motion), spring_ratio(motion), motion.pair
+    held, pair = _held_ratios(motion), motion.pair
     if motion.buffer is None or pair is None:
         return
     if held:
@@ -239,6 +239,7 @@ def buffer_scale(motion: MeasuredMotion) -> Iterator[Said]:
                 "must be 1; check the encoder's scale; strokes and distances are wrong by as much",
             )
         return
+    ratio = spring_ratio(motion)
     if ratio is None:
         return
     change = first_change(motion, pair.chaser[:, 2])

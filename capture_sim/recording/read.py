@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -121,11 +122,21 @@ class GivenByBag(Given):
     def __init__(self, bag: Bag, scene: Scene | None) -> None:
         super().__init__(scene=scene, tables=tables_of(bag))
         self._bag = bag
+        self._has_own_series = True
 
     @cached_property
     def series(self) -> SeriesBySource:
         """Series by quantity and source; the zero of a rig's buffer at rest is taken out."""
         return without_zero(series_of(self._bag), Deferred(self._motion))
+
+    def replaced(self, **values: Any) -> GivenByBag:
+        """Return a copy with some properties replaced; another scene shows another zero."""
+        changed = super().replaced(**values)
+        if "series" in values:
+            changed._has_own_series = False
+        elif "scene" in values and self._has_own_series:
+            vars(changed).pop("series", None)
+        return changed
 
     def _motion(self) -> MeasuredMotion | None:
         return MeasuredMotion(self.evidence[0], self.scene) if self.evidence else None

@@ -6,6 +6,7 @@ import pytest
 
 from capture_sim import simulate
 from capture_sim.cli import main
+from capture_sim.commands.output import give
 from capture_sim.recording.offline import write_run
 
 SHORT = ("--set", "run.t_end=0.6")
@@ -60,3 +61,7 @@ def test_results_are_printed_even_if_a_recording_is_refused(recording, tmp_path,
 def test_an_error_prints_no_json(tmp_path, capsys):
     assert main(["detect", str(tmp_path / "missing.mcap"), "--json"]) == 2
     assert capsys.readouterr().out == ""
+
+
+def test_results_are_not_made_unless_they_are_asked_for():
+    give(lambda: pytest.fail("made for nobody"))

@@ -158,6 +158,16 @@ def test_the_zero_of_an_encoder_changes_no_result(stroke, torsion, scene, tmp_pa
         assert other.values == pytest.approx(one.values, abs=1e-5)
 
 
+def test_the_zero_is_that_of_the_scene_that_a_run_has_now(scene, tmp_path):
+    records = dirty.changed(dirty.clean("tilt_p10"), dirty.JOINTS, dirty.off_zero(5e-3, 0.0))
+    run = read_run(dirty.write(tmp_path, "plain", records))
+    assert run.measured("stroke").values[0] == pytest.approx(5e-3, abs=1e-4)  # no scene: no zero
+    known = run.replaced(scene=scene)
+    assert known.measured("stroke").values[0] == pytest.approx(0.0, abs=1e-4)
+    own = {"stroke": {"joint_states": known.measured("stroke")}}
+    assert known.replaced(series=own).replaced(scene=scene).series is own
+
+
 @pytest.mark.parametrize("kind", ["poses_in_mm", "w_first", "no_quaternion", "clocks"])
 def test_rules_that_need_no_scene_are_checked_without_one(kind, tmp_path):
     kind = "poses_an_hour_ahead" if kind == "clocks" else kind
