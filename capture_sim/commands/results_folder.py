@@ -1,4 +1,4 @@
-"""Prints and draws the runs of a command beside others of their folder.
+"""Prints and draws the runs of a command next to others of their folder.
 
 ``overview.png`` and ``runs.rrd`` show the command's runs and the latest other recordings, up to
 :data:`SHOWN` in all.

@@ -384,7 +384,7 @@ def contact_times(motion: MeasuredMotion) -> Iterator[Said]:
         if first is not None and motion.is_tracked(seen[name] - _CONTACT_OFFSET, first):
             late = min(seen[name] - first, 0.0)
         source = motion.buffer if name == "buffer" else motion.force
-        # a source that has a hole there shows the contact when it comes back
+        # a source with a gap there shows the contact when it comes back
         if last is not None and motion.is_tracked(last, last + _CONTACT_OFFSET, source):
             late = late or max(seen[name] - last, 0.0)
         if name == "force" and late > 0.0 and not motion.is_force_clear:

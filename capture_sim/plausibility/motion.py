@@ -196,8 +196,8 @@ class MeasuredMotion:
     def zero_error(self) -> np.ndarray:
         """Largest plausible error that :attr:`zero` leaves in stroke (m) and torsion (rad), (2,).
 
-        It is three standard errors, and a zero too small to be taken out; infinite if there are too
-        few states at rest.
+        It is three standard errors, and a zero too small to be subtracted; infinite if too few
+        states are at rest.
         """
         if len(self._at_rest) < MIN_REST:
             return np.full(2, np.inf)

@@ -95,7 +95,7 @@ def series_of(bag: Bag) -> SeriesBySource:
 
 
 def without_zero(series: SeriesBySource, motion: Deferred[MeasuredMotion | None]) -> SeriesBySource:
-    """Return series with the zero of the buffer taken out, see :attr:`MeasuredMotion.zero`.
+    """Return series with the zero of the buffer subtracted, see :attr:`MeasuredMotion.zero`.
 
     ``motion`` has that buffer; it is used when stroke or torsion are.
     """

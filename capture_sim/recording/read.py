@@ -126,7 +126,7 @@ class GivenByBag(Given):
 
     @cached_property
     def series(self) -> SeriesBySource:
-        """Series by quantity and source; the zero of a rig's buffer at rest is taken out."""
+        """Series by quantity and source; the zero of a rig's buffer at rest is subtracted."""
         return without_zero(series_of(self._bag), Deferred(self._motion))
 
     def replaced(self, **values: Any) -> GivenByBag:
