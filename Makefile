@@ -119,7 +119,7 @@ picture: develop
 	$(BIN)/python -m tools.diagrams docs
 	$(BIN)/python -m tools.plan docs
 	$(BIN)/python -m tools.reference docs --pictures
-	$(BIN)/python -m tools.tables_of_nodes docs
+	$(BIN)/python -m tools.tables_of_nodes .
 	cp build/picture/tilt_p10.png docs/tilt_p10.png
 	$(BIN)/capture-sim sweep tilt_0 --vary approach.angle='-30 deg:30 deg:21' \
 		--vary approach.offset='-50 mm:50 mm:21' --vary approach.speed=0.05,0.2 --out build/picture/map.csv

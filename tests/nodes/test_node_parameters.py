@@ -1,42 +1,19 @@
-"""config/nodes.yaml holds what the nodes declare, with their own defaults."""
+"""Nodes keep to names of their own, and compile nothing that they do not need."""
 
-import re
 import subprocess
 import sys
 
 import pytest
 import rclpy
-import yaml
 from cases import cases
 
-from capture_sim.base.resources import config_dir
-from capture_sim.nodes.capture_detector import CaptureDetectorNode
-from capture_sim.nodes.launcher import LauncherNode
-from capture_sim.nodes.recorder import RecorderNode
 from capture_sim.nodes.simulator import SimulatorNode
 from tests.nodes.own_domain import participant
-
-UNSET = ("['']", "nan")
-IGNORED = re.compile(r"use_sim_time|qos_overrides\..*|start_type_description_service")
 
 
 @pytest.fixture
 def context(_domain):
     return participant()
-
-
-def test_file_and_nodes_agree(context, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # below which the recorder has its folder
-    declared = {}
-    for make in (SimulatorNode, LauncherNode, CaptureDetectorNode, RecorderNode):
-        node = make(context=context)
-        names = node.list_parameters([], 0).names
-        values = {n: node.get_parameter(n).value for n in names if not IGNORED.match(n)}
-        # one that is not set is not given in the file either
-        given = {name: value for name, value in values.items() if str(value) not in UNSET}
-        declared[f"/**/{node.get_name()}"] = {"ros__parameters": given}
-        node.destroy_node()
-    assert yaml.safe_load((config_dir() / "nodes.yaml").read_text()) == declared
 
 
 def test_nodes_keep_nothing_under_a_name_of_rclpys_node(context):

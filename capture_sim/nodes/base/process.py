@@ -172,6 +172,6 @@ def _usage(make: Callable[..., object]) -> str:
     ]
     for section in sections:
         if section.startswith(f"{name}:"):
-            lines += [f"Parameters and their defaults ({file}):", "", section.rstrip(), ""]
+            lines += [f"Parameters, from {file}:", "", section.rstrip(), ""]
     lines.append(f"`ros2 param describe /{name} PARAMETER` prints the range while the node runs.")
     return "\n".join(lines)
