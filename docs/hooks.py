@@ -1,13 +1,19 @@
-"""Makes the start page from the README, and typesets formulas as MathML."""
+"""Makes the start page from the README, fills in tables, and typesets formulas as MathML."""
 
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 from docutils.utils.math.latex2mathml import tex2mathml
 from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from tools import reference  # noqa: E402
 
 FENCE = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
@@ -19,6 +25,10 @@ UNBRACED = re.compile(r"(?:\\frac|\\sqrt|[\^_])\s*\d{2,}")
 LINK = re.compile(r"(!?)\[([^\]]*)\]\((?!https?:)([^)\s]+)\)")
 
 
+#: A mark in place of which the site has a table.
+ON_THE_SITE = re.compile(r"^<!-- on the site: ([\w ]+) -->$", re.MULTILINE)
+#: A link from a page to a file of the repository that the site does not have.
+OUTSIDE = re.compile(r"\[([^\]]*)\]\(\.\./(?:config|examples|benchmarks|action)/[^)\s]+\)")
 #: The page of the types that the nodes exchange.
 TYPES = "reference_types.md"
 
@@ -94,5 +104,10 @@ def with_marks(markdown: str) -> str:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Mark the formulas; a link to the messages' folder leads to their page."""
+    """Put in the tables that only the site has, and mark the formulas.
+
+    A link to the messages' folder leads to their page, and one to another file nowhere.
+    """
+    markdown = ON_THE_SITE.sub(lambda found: reference.ON_THE_SITE[found[1]](), markdown)
+    markdown = OUTSIDE.sub(r"`\1`", markdown)
     return with_marks(markdown.replace("](../msg)", f"]({TYPES})"))

@@ -19,7 +19,7 @@ Measurement = tuple[Source, float, tuple[float, ...]]
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What happens to measurements on their way; the defaults are those of docs/detection_noise.md.
+    """What happens to measurements on their way; the defaults are those of docs/detection.md.
 
     Attributes
     ----------

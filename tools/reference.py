@@ -246,10 +246,13 @@ PART = re.compile(
 PARTS: dict[str, Callable[[], str]] = {
     "quality of service": quality_of_service,
     "rules": table_of_rules,
-    "commands": tables_of_commands.commands,
     "exit statuses": tables_of_commands.statuses,
     "exit statuses of nodes": tables_of_commands.statuses_of_nodes,
     "results": tables_of_commands.results,
+}
+#: What the site has in place of ``<!-- on the site: NAME -->``: the programs print it, too.
+ON_THE_SITE: dict[str, Callable[[], str]] = {
+    "commands": tables_of_commands.commands,
     "variables": lambda: tables_of_commands.variables(sample_meanings()),
 }
 

@@ -34,6 +34,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from capture_sim.base.files import whole_file
+from capture_sim.base.resources import config_dir
 from capture_sim.hardware.messages import HOLD as LOOP_HOLD
 from capture_sim.hardware.messages import RIG_TIP, TIP, TIP_WRENCH
 from capture_sim.messages.topics import ROLL, TOPICS, Rate, Topic
@@ -340,6 +341,9 @@ def main() -> None:
     asked = parser.parse_args()
     os.environ.setdefault("ROS_DOMAIN_ID", "97")
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    # else this process and the nodes find each other late, and messages before that are lost
+    profile = config_dir() / "fast_dds_loopback.xml"
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
     found = measured()
     if asked.folder is None:
         for name, text in found.items():

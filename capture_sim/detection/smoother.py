@@ -4,7 +4,7 @@ The noise is estimated from the measurements themselves.  A vehicle of 20 kg mov
 four successive measurements its position is a parabola in time, and the third difference of the
 measurements is noise.  Without noise the path consists of the measured positions.  With noise each
 position comes from a parabola fitted (least squares) to the measurements before and after it, as
-many as the noise requires and ``detector.max_delay`` permits.  docs/detection_noise.md gives the
+many as the noise requires and ``detector.max_delay`` permits.  docs/detection.md gives the
 reasons with numbers.
 """
 

@@ -27,7 +27,6 @@ class ContactRigNode(BenchNode):
     """Simulates a contact rig: servo, load cell, walls and transport.
 
     With the parameter ``ideal`` it has no servo lag, noise, bias or delay.
-    docs/hardware_in_the_loop.md lists the parameters.
     """
 
     def __init__(self, **options: Any) -> None:

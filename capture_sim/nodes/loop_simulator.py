@@ -56,7 +56,7 @@ class LoopSimulatorNode(BenchNode):
     the tip on loop/tip with every step, and uses the newest wrench that has arrived. The tip is
     brought from rest to the speed at which the scene begins during the time ``run_up``. A step that
     is late shifts all later ones. If a limit is exceeded, the node sends the reason on loop/hold,
-    stops and exits with status 1. docs/hardware_in_the_loop.md lists the parameters.
+    stops and exits with status 1.
     """
 
     def __init__(self, **options: Any) -> None:

@@ -50,10 +50,7 @@ _UNKNOWN = (math.nan, math.nan, math.nan)
 
 
 class ViewerNode(BenchNode, RunPart):
-    """Shows every announced run live in rerun, or a bench where no node announces runs.
-
-    docs/looking_at_runs.md lists the parameters.
-    """
+    """Shows every announced run live in rerun, or a bench where no node announces runs."""
 
     _scene: Scene  # of the run that is on
 

@@ -48,6 +48,8 @@ def site(tmp_path_factory):
 def test_site_has_every_page_and_starts_with_the_readme(site):
     for stem in STEMS:
         assert (site / stem / "index.html").is_file(), stem
+    for page, text in {"reference_commands": "--weighed", "fmu": "buffer.k_T3"}.items():
+        assert text in (site / page / "index.html").read_text()  # made for the site alone
     start = (site / "index.html").read_text()
     assert "The three experiments" in start
     assert 'href="tutorial/"' in start
