@@ -39,6 +39,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _open_closed_streams()
     gc.set_threshold(_GARBAGE_THRESHOLD)
     try:
+        if "_ARGCOMPLETE" in os.environ:  # a shell asks
+            from capture_sim.commands.completion import complete
+
+            complete(command_parser)
         # settings of this command end with it
         status = copy_context().run(_run, sys.argv[1:] if arguments is None else arguments)
         sys.stdout.flush()

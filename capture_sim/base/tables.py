@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 
 from rich import box
@@ -26,6 +28,28 @@ class Section:
     head: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
     after: Sequence[str] = ()
+
+
+#: What a command prints, while a page is made of it: lines of text, and tables as sections.
+_TRANSCRIPT: ContextVar[list[str | Section] | None] = ContextVar("transcript", default=None)
+
+
+@contextmanager
+def transcript() -> Iterator[list[str | Section]]:
+    """Yield a list to which the lines and tables are added that are printed in the block."""
+    shown: list[str | Section] = []
+    token = _TRANSCRIPT.set(shown)
+    try:
+        yield shown
+    finally:
+        _TRANSCRIPT.reset(token)
+
+
+def note_printed(what: str | Section) -> None:
+    """Add what is printed to the transcript, if there is one."""
+    shown = _TRANSCRIPT.get()
+    if shown is not None:
+        shown.append(what)
 
 
 def make_table(
@@ -53,6 +77,7 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int
     """
     console = Console(highlight=False, markup=False, emoji=False)
     cells = [list(row) for row in rows]
+    note_printed(Section("", (), head, cells))
     if not console.is_terminal:
         console.width = _UNLIMITED
     for columns in _blocks(head, cells, console.width, left, _GAP):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from capture_sim.base.exit_status import FAILED, INTERRUPTED, OK
 from capture_sim.base.files import write_text
-from capture_sim.base.tables import print_table, table_text
+from capture_sim.base.tables import Section, print_table, table_text, transcript
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_geometry,
@@ -28,7 +28,14 @@ from capture_sim.commands.inputs import (
     prepare_folder,
     whole,
 )
-from capture_sim.commands.output import Progress, drawing, echo, give, write_json
+from capture_sim.commands.output import (
+    Progress,
+    command_line,
+    drawing,
+    echo,
+    give,
+    write_json,
+)
 from capture_sim.errors import SceneError
 from capture_sim.run.run import Run
 from capture_sim.scene.files import scene_names
@@ -76,6 +83,12 @@ EXAMPLE = """\
   capture-sim calibrate trial_*.mcap --predict next.yaml --placement '0.2 mm, 1 mrad'"""
 #: File for the scene of the trials, which is written if it is not a scene of the package.
 _BENCH = "bench.yaml"
+#: Captions of the plots on the page, by name; others are of trials.
+_CAPTIONS = {
+    "values": "Fitted values",
+    "correlation": "Correlation of the errors",
+    "prediction": "Prediction",
+}
 #: Number of candidates for what the model lacks that are printed.
 _SHOWN = 3
 
@@ -199,8 +212,9 @@ def run(options: argparse.Namespace) -> int:
     if to_come is not None and not is_unfinished:
         prediction = predicted(found, to_come, placement, seed=options.seed)
         found = dataclasses.replace(found, prediction=prediction)
-    _print(found)
-    _write(found, runs, options)
+    with transcript() as shown:
+        _print(found)
+    _write(found, runs, shown, options)
     if is_unfinished:
         return INTERRUPTED
     return OK if found.is_found else FAILED
@@ -376,8 +390,13 @@ def _print_prediction(prediction: Prediction) -> None:
         echo(f"{prediction.failed} draws could not be simulated")
 
 
-def _write(found: Calibration, runs: Sequence[Run], options: argparse.Namespace) -> None:
-    """Write the calibrated scene, the values as JSON, the table and the plots to ``--out``."""
+def _write(
+    found: Calibration,
+    runs: Sequence[Run],
+    shown: Sequence[str | Section],
+    options: argparse.Namespace,
+) -> None:
+    """Write the calibrated scene, the values as JSON, table, plots and page to ``--out``."""
     out: Path = options.out
     scene = runs[0].scene
     extends = _extended(scene, out)
@@ -395,9 +414,37 @@ def _write(found: Calibration, runs: Sequence[Run], options: argparse.Namespace)
     with drawing():
         from capture_sim.viewing.calibration import draw_calibration
         from capture_sim.viewing.canvas import save
+        from capture_sim.viewing.study_page import drawn, save_page
 
-        for name, figure in draw_calibration(found).items():
+        figures = draw_calibration(found)
+        for name, figure in figures.items():
             echo(f"plot in {save(figure, out / f'{name}.png')}")
+        said = ["found: all tests passed"] if found.is_found else []
+        said += [f"not found: {finding.text}" for finding in found.findings]
+        pictures = {
+            name: drawn({_CAPTIONS.get(name, f"Trial {name}"): figure})
+            for name, figure in figures.items()
+        }
+        asked = {
+            "result": "; ".join(said),
+            "command": command_line(),
+            "scene": f"{scene.name}: {scene.title}",
+            "trials": ", ".join(start.trial for start in found.starts),
+            "fitted": ", ".join(found.names),
+            "weighed": "; ".join(options.weighed) or "nothing",
+        }
+        files = {"calibrated scene": SCENE, "values, covariance and tests": JSON}
+        page = save_page(
+            out / "calibration.html",
+            f"Calibration: {scene.name}",
+            asked,
+            [each for name in pictures if name in _CAPTIONS for each in pictures[name]],
+            shown,
+            files=files,
+            last=[each for name in pictures if name not in _CAPTIONS for each in pictures[name]],
+            scene=scene,
+        )
+        echo(f"page in {page}")
 
 
 def _extended(scene: Scene, folder: Path) -> str:

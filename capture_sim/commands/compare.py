@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from capture_sim.base.exit_status import FAILED, OK
 from capture_sim.base.software import software_versions
-from capture_sim.base.tables import print_table
+from capture_sim.base.tables import Section, print_table, transcript
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_geometry,
@@ -23,7 +23,7 @@ from capture_sim.commands.inputs import (
     open_run,
     prepare_folder,
 )
-from capture_sim.commands.output import drawing, echo, give, warn
+from capture_sim.commands.output import command_line, drawing, echo, give, warn
 from capture_sim.errors import RecordingError
 from capture_sim.run.loads import if_measured
 from capture_sim.run.run import Run
@@ -127,6 +127,12 @@ def run(options: argparse.Namespace) -> int:
         raise RecordingError("compare: must have either a second run B or --simulated")
     options.out = options.out or folder_beside(options.a)
     prepare_folder(options.out)
+    with transcript() as shown:
+        return _run(options, shown)
+
+
+def _run(options: argparse.Namespace, shown: Sequence[str | Section]) -> int:
+    """Compare two runs and return the exit status; ``shown`` is what has been printed so far."""
     sources = [options.a, *filter(None, [options.b])]
     runs = [
         open_or_simulate(
@@ -157,7 +163,7 @@ def run(options: argparse.Namespace) -> int:
         over = min(options.window, _check_window(*pair, options.window))
         give(lambda: {"bit_identical": is_identical, **_as_data(pair, labels, over)})
     else:
-        _compare(*pair, labels, options)
+        _draw(pair, labels, _compare(*pair, labels, options), shown, options)
     return status
 
 
@@ -277,8 +283,8 @@ def _print_agreement(found: Agreement, recorded: Run) -> None:
         echo(f"  {'then' if line in recorded.origin.software else 'now'}: {line}")
 
 
-def _compare(a: Side, b: Side, labels: list[str], options: argparse.Namespace) -> None:
-    """Print the comparison of two runs and draw it."""
+def _compare(a: Side, b: Side, labels: list[str], options: argparse.Namespace) -> float:
+    """Print the comparison of two runs; return the time compared, s after the first contact."""
     ended = _check_window(a, b, options.window)
     for label in labels:
         echo(label)
@@ -306,13 +312,30 @@ def _compare(a: Side, b: Side, labels: list[str], options: argparse.Namespace) -
         for gap in gaps(a.measured, b.measured, a.contact, b.contact, options.window)
     ]
     print_table(["", "rms", "peak", "at s", "source"], rows)
+    return over
+
+
+def _draw(
+    pair: tuple[Side, Side],
+    labels: list[str],
+    over: float,
+    shown: Sequence[str | Section],
+    options: argparse.Namespace,
+) -> None:
+    """Draw the comparison, and write the page with what was printed."""
     with drawing("no plot: {error}"):
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.studies import draw_comparison
+        from capture_sim.viewing.study_page import drawn, save_page
 
         against = "simulated" if options.simulated else Path(options.b).stem
         path = options.out / f"{Path(options.a).stem}_vs_{against}.png"
-        echo(f"plot in {save(draw_comparison((a, b), labels, over), path)}")
+        figure = draw_comparison(pair, labels, over)
+        echo(f"plot in {save(figure, path)}")
+        asked = {"command": command_line()} | {text[0]: text[2:] for text in labels}
+        title = f"{Path(options.a).stem} compared with {against}"
+        pictures = drawn({"From the first contact on": figure})
+        echo(f"page in {save_page(path.with_suffix('.html'), title, asked, pictures, shown)}")
 
 
 def _check_window(a: Side, b: Side, window: float) -> float:

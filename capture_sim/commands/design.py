@@ -7,8 +7,6 @@ import dataclasses
 import itertools
 import math
 import re
-import shlex
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -38,7 +36,7 @@ from capture_sim.commands.inputs import (
     reader,
     whole,
 )
-from capture_sim.commands.output import Progress, drawing, echo, warn
+from capture_sim.commands.output import Progress, command_line, drawing, echo, warn
 from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range
@@ -337,22 +335,17 @@ def _design(
     with drawing():
         from capture_sim.viewing.canvas import save
         from capture_sim.viewing.design import draw_design
-        from capture_sim.viewing.design_page import asked_of, save_design_page
+        from capture_sim.viewing.study_page import asked_of, save_design_page
 
         figure = draw_design(design, picked)
         echo(f"plot in {save(figure, options.out / 'design.png')}")
-        asked = asked_of(design, _command_line(), options.seed, budget)
+        asked = asked_of(design, command_line(), options.seed, budget)
         path = save_design_page(
             design, picked, sections, figure, options.out / "design.html", asked
         )
         echo(f"page in {path}")
     journal.finish()
     return OK if design.met else FAILED
-
-
-def _command_line() -> str:
-    """Return the command line as it was typed, with quotes where a shell needs them."""
-    return shlex.join(["capture-sim", *sys.argv[1:]])
 
 
 def _free(texts: Sequence[str]) -> list[str]:

@@ -10,6 +10,7 @@ import gc
 import json
 import multiprocessing
 import os
+import shlex
 import signal
 import sys
 import time
@@ -26,6 +27,7 @@ from rich.console import Console
 
 from capture_sim.base.files import discard_parts, write_text
 from capture_sim.base.interrupts import end_with_parent
+from capture_sim.base.tables import note_printed
 from capture_sim.errors import CaptureSimError, one_line
 
 if TYPE_CHECKING:
@@ -50,6 +52,7 @@ _PAUSE = 10.0
 
 def echo(text: str) -> None:
     """Print text and flush it at once; control characters except line ends become blanks."""
+    note_printed(text)
     print("".join(c if c.isprintable() or c == "\n" else " " for c in text), flush=True)
 
 
@@ -147,6 +150,11 @@ def json_text(data: Any) -> str:
         return values.tolist()
 
     return json.dumps(data, indent=2, allow_nan=False, default=plain) + "\n"
+
+
+def command_line() -> str:
+    """Return the command line as it was typed, with quotes where a shell needs them."""
+    return shlex.join(["capture-sim", *sys.argv[1:]])
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from capture_sim.base.exit_status import FAILED as FAILED_STATUS
 from capture_sim.base.exit_status import INTERRUPTED, OK
 from capture_sim.base.journal import Journal
 from capture_sim.base.software import software_versions
-from capture_sim.base.tables import print_table
+from capture_sim.base.tables import print_table, transcript
 from capture_sim.commands.compiling import compile_first
 from capture_sim.commands.inputs import (
     add_control,
@@ -32,12 +32,12 @@ from capture_sim.commands.inputs import (
     prepare_folder,
     whole,
 )
-from capture_sim.commands.output import Progress, drawing, echo, give, warn
+from capture_sim.commands.output import Progress, command_line, drawing, echo, give, warn
 from capture_sim.errors import SceneError
 from capture_sim.recording.sweep_file import check_format, is_complete, read_cases, write_sweep
 from capture_sim.run.loads import LOADS, implausible_stroke, plausible_stroke
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.axes import FAMILIAR
+from capture_sim.studies.axes import FAMILIAR, typed_unit
 from capture_sim.studies.capture_range import CaptureRange, area_of_map, ranges_of_sweep
 from capture_sim.studies.dispersion import (
     MAIN_LOADS,
@@ -92,6 +92,14 @@ EXAMPLE = """\
     --vary approach.offset='-50 mm:50 mm:11' --out runs/map.parquet"""
 #: Number of runs below which the percentiles are printed with their intervals.
 _INTERVALS_BELOW = 500
+#: Captions of the plots, by name.
+_CAPTIONS = {
+    "curve": "Loads over the input",
+    "map": "Verdicts over two inputs",
+    "loads": "Distribution of the loads",
+    "indices": "What matters: Sobol indices",
+    "tornado": "What matters: rank correlations",
+}
 _WORST = 3  # number of runs whose commands are printed; the table has the commands of all runs
 _FAILURES = 3  # maximum number of kinds of failures that are printed
 
@@ -262,8 +270,9 @@ def _sweep(
     )
     give(lambda: table.astype(object).where(table.notna(), None).to_dict("records"))
     indices = _indices(samples, table, options)
-    _report(scene, samples, table, indices, limits, options)
-    _print_ranges(samples, ranges, limits)
+    with transcript() as shown:
+        _report(scene, samples, table, indices, limits, options)
+        _print_ranges(samples, ranges, limits)
     if len(table) < len(samples.rows):
         warn(
             f"interrupted: {len(table)} of {len(samples.rows)} runs written to {options.out}; "
@@ -272,13 +281,26 @@ def _sweep(
         return INTERRUPTED
     with drawing():
         from capture_sim.viewing.canvas import save
+        from capture_sim.viewing.study_page import drawn, save_page
         from capture_sim.viewing.sweep import draw_sweep
 
-        for name, figure in draw_sweep(
-            table, samples.axes, scene.name, indices, limits, ranges
-        ).items():
+        figures = draw_sweep(table, samples.axes, scene.name, indices, limits, ranges)
+        for name, figure in figures.items():
             path = options.out.with_name(f"{options.out.stem}_{name}.png")
             echo(f"plot in {save(figure, path)}")
+        asked = {
+            "command": command_line(),
+            "scene": f"{scene.name}: {scene.title}",
+            "varied": "; ".join(options.vary) or ", ".join(axis.name for axis in samples.axes),
+            "limits": ", ".join(limit.text for limit in limits) or "none",
+            "runs": f"{len(table)}, seed {options.seed}",
+        }
+        page = options.out.with_suffix(".html")
+        files = {"table of all runs": options.out.name}
+        title = f"Sweep: {scene.name}"
+        pictures = drawn({_CAPTIONS[name]: figure for name, figure in figures.items()})
+        save_page(page, title, asked, pictures, shown, files=files, scene=scene)
+        echo(f"page in {page}")
     journal.remove()  # last: until then, --resume makes all of this again
     if computed_rows(table).empty:
         warn("no run could be computed")
@@ -392,7 +414,7 @@ def _report(
         grid = [a.name for a in samples.axes if len(set(a.values)) > 1] if not options.cases else []
         _print_effects(table, [name for name in grid if table[name].nunique() > 1])
         _print_correlations(table, [a.name for a in samples.axes if a.name not in grid])
-    _print_worst(table, options)
+    _print_worst(table, samples, options)
 
 
 def _print_failures(table: pandas.DataFrame) -> None:
@@ -420,7 +442,8 @@ def _print_probability(
     for point, rows in groups:
         values = point if isinstance(point, tuple) else (point,)
         where = ", ".join(
-            f"{name} = {value:.6g}" for name, value in zip(grid, values, strict=False)
+            f"{name} = {_in_typed_unit(samples, name, value, 6)}"
+            for name, value in zip(grid, values, strict=False)
         )
         start = f"{where}: " if where else ""
         captured = capture_probability(rows)
@@ -465,14 +488,18 @@ def _print_ranges(
         return
     area = area_of_map([axis for axis in samples.axes if len(axis.values) != 1])
     others = [a.name for a in samples.axes if a.name not in {axis.name for axis in area}]
+    units = {axis.name: typed_unit(axis) for axis in area}
     where = ", ".join(
-        f"{axis.name} {axis.values[0]:.4g} to {axis.values[-1]:.4g} {axis.unit}" for axis in area
+        f"{axis.name} {axis.values[0] * factor:.4g} to {axis.values[-1] * factor:.4g} {unit}"
+        for axis, (unit, factor) in zip(area, units.values(), strict=True)
     )
     runs = sum(found.runs for found in ranges.values())
-    what = "captured within the limits" if limits else "captured"
+    what = "captured and not left again" + (", within the limits" if limits else "")
     echo(f"\ncapture range: share of the area {where} that is {what}; {runs} runs locate its edge")
     for values, found in ranges.items():
-        point = ", ".join(f"{n} = {v}" for n, v in zip(others, values, strict=True))
+        point = ", ".join(
+            f"{n} = {_in_typed_unit(samples, n, v, 6)}" for n, v in zip(others, values, strict=True)
+        )
         start = f"{point}: " if point else ""
         echo(f"{start}{found.share * 100.0:.2f} +- {found.error * 100.0:.2f} %")
 
@@ -576,8 +603,20 @@ def _print_indices(indices: Sequence[Indices], inputs: Sequence[str]) -> None:
         print_table(["input", "first", "total"], cells)
 
 
-def _print_worst(table: pandas.DataFrame, options: argparse.Namespace) -> None:
-    """Print the runs with the largest load ``--worst``, with the commands that repeat them.
+def _in_typed_unit(samples: Samples, name: str, value: Any, digits: int) -> str:
+    """Return the value of an input as text, in the unit in which the input was given."""
+    axis = next((each for each in samples.axes if each.name == name), None)
+    if axis is None or isinstance(value, (str, bool)):
+        return str(value)
+    unit, factor = typed_unit(axis)
+    unit = "" if unit in ("1", axis.unit) else unit
+    return f"{value * factor:.{digits}g} {unit}".rstrip()
+
+
+def _print_worst(table: pandas.DataFrame, samples: Samples, options: argparse.Namespace) -> None:
+    """Print the runs with the largest load ``--worst``, with commands that repeat them.
+
+    Values are rounded to nine digits; those of the column ``command`` are exact.
 
     If no run touches the cone, the runs with the closest approach are printed instead.
     """
@@ -588,7 +627,7 @@ def _print_worst(table: pandas.DataFrame, options: argparse.Namespace) -> None:
         echo(f"\nno run touches the cone; smallest {load.key}, with the command that repeats it")
         worst = computed.nsmallest(_WORST, load.key)
     else:
-        echo(f"\nlargest {load.key}, with the command that repeats it (column command: all runs)")
+        echo(f"\nlargest {load.key}, with the command (column command: all runs, to the last bit)")
         worst = computed.nlargest(_WORST, load.key)
     labels = outcome_labels(worst)
     for number, row in worst.iterrows():
@@ -597,4 +636,10 @@ def _print_worst(table: pandas.DataFrame, options: argparse.Namespace) -> None:
         shown = f"{row[load.key] * load.factor:.4g} {load.shown_in}, {labels[number]}"
         if row.get("exceeded"):
             shown += f", exceeds {row['exceeded']}"
-        echo(f"{number}: {shown}: {row['command']}")
+        words = shlex.split(row["command"])
+        for place, word in enumerate(words):
+            name, sign, value = word.partition("=")
+            with suppress(ValueError):
+                if sign and name in {axis.name for axis in samples.axes}:
+                    words[place] = f"{name}={_in_typed_unit(samples, name, float(value), 9)}"
+        echo(f"{number}: {shown}: {shlex.join(words)}")

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,6 +38,20 @@ class Axis:
         """Return the quantiles of the distribution at probabilities ``u``, with the shape of u."""
         tiny = np.finfo(float).eps / 2.0  # the quantiles at 0 and 1 may be infinite
         return np.asarray(self.distribution.ppf(np.clip(u, tiny, 1.0 - tiny)))
+
+
+def typed_unit(axis: Axis, default: str = "") -> tuple[str, float]:
+    """Return the unit in which an axis was given, and the factor from SI to this unit.
+
+    ``default`` is the unit if the axis was given without one; empty: the SI unit.
+    """
+    for text in re.split(r"[,:()]", axis.text):
+        with suppress(ValueError):  # the name of a distribution, or a list
+            unit = split(text)[1]
+            if unit and unit != "%":
+                return unit, 1.0 / in_si(f"1 {unit}", axis.unit)
+    unit = default or axis.unit
+    return unit, 1.0 / in_si(f"1 {unit}", axis.unit) if default else 1.0
 
 
 def declaration_of(scene: Scene, name: str) -> Declared:

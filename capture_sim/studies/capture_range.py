@@ -1,4 +1,4 @@
-"""Capture range: the share of an area of approach that is captured within the limits.
+"""Capture range: the share of an area of approach that is captured and kept within the limits.
 
 The area is a grid of approaches.  The lines of the grid are along the axis with the most values.
 Bisection locates each edge of the captured range between two neighbours on a line.  The captured
@@ -59,6 +59,7 @@ class CaptureRange:
     share: float  # 0 to 1
     error: float  # of the share
     runs: int  # runs that located the edges, without the runs of the grid
+    edges: tuple[tuple[float, ...], ...] = ()  # approaches at the located edges
 
 
 def make_area(scene: Scene, texts: Sequence[str]) -> tuple[Axis, ...]:
@@ -166,9 +167,12 @@ def capture_ranges(
     values, errors = _mean(share, others), _mean(error, others)
     for k in range(len(others)):
         errors = errors + np.abs(values - _mean(share, others, every_second=k))
+    located: list[list[tuple[float, ...]]] = [[] for _ in grid]
+    for change, at in zip(changes, (0.5 * (low + high)).tolist(), strict=True):
+        located[change[0]].append(_point(area, along, change[1:-1].tolist(), at))
     return [
-        CaptureRange(float(v), float(e), int(n))
-        for v, e, n in zip(values, errors, runs, strict=True)
+        CaptureRange(float(v), float(e), int(n), tuple(points))
+        for v, e, n, points in zip(values, errors, runs, located, strict=True)
     ]
 
 
@@ -190,7 +194,7 @@ def ranges_of_sweep(
     cases = [axis for axis in samples.axes if axis.name not in {each.name for each in area}]
     names = [axis.name for axis in samples.axes]
     order = [names.index(axis.name) for axis in (*cases, *area)]
-    is_good = table["verdict"] == CAPTURED
+    is_good = (table["verdict"] == CAPTURED) & ~table["left_again"].astype(bool)
     if limits:
         is_good &= table["exceeded"] == ""
     grid = is_good.to_numpy().reshape([len(axis.values) for axis in samples.axes])
@@ -205,7 +209,10 @@ def ranges_of_sweep(
         chunks = [rows[start : start + _CHUNK] for start in range(0, len(rows), _CHUNK)]
         done = [row for results in answers(executor, work, chunks) for row in results]
         found = [dict(zip(columns, row, strict=True)) for row in done]
-        return [row["verdict"] == CAPTURED and not row.get("exceeded") for row in found]
+        kept = [row["verdict"] == CAPTURED and not row["left_again"] for row in found]
+        return [
+            is_kept and not row.get("exceeded") for is_kept, row in zip(kept, found, strict=True)
+        ]
 
     ranges = capture_ranges(area, captured, is_captured)
     return dict(zip(points, ranges, strict=True))

@@ -30,12 +30,12 @@ _MAX_POINTS = 3000
 def draw_calibration(found: Calibration) -> dict[str, Figure]:
     """Return the figures of a calibration by name.
 
-    There is one for each trial, under the name of its file, with the trial's number if that name is
-    taken.  "correlation" is there if several parameters were fitted, "prediction" if a new trial
-    was predicted.
+    "values" has the fitted parameters with their errors.  There is one for each trial, under the
+    name of its file, with the trial's number if that name is taken.  "correlation" is there if
+    several parameters were fitted, "prediction" if a new trial was predicted.
     """
     assert found.problem is not None
-    figures: dict[str, Figure] = {}
+    figures: dict[str, Figure] = {"values": _draw_values(found)}
     for number, trial in enumerate(found.problem.trials):
         name = Path(trial.name).stem or f"{number}"
         while name in (*figures, "correlation", "prediction"):
@@ -48,8 +48,36 @@ def draw_calibration(found: Calibration) -> dict[str, Figure]:
     return figures
 
 
+def _draw_values(found: Calibration) -> Figure:
+    """Return a figure of the fitted values against their starts, with one and two errors."""
+    count = len(found.names)
+    figure, [[axes]] = subplots(9.0, 1.4 + 0.42 * count, 1, 1, grid="x", font=11.5)
+    for row, (value, error, begun, unit) in enumerate(
+        zip(found.values, found.errors, found.begun, found.units, strict=True)
+    ):
+        size = abs(begun) / 100.0 if begun else abs(error) or 1.0
+        at, half = (value - begun) / size, error / size
+        if np.isfinite(half):
+            axes.hlines(row, at - 2.0 * half, at + 2.0 * half, color=style.BLUE, lw=1.2)
+            axes.hlines(row, at - half, at + half, color=style.BLUE, lw=4.0)
+        axes.plot(at, row, "o", color=style.BLUE, ms=5)
+        text = f"{value:.5g} +- {error:.2g} {'' if unit == '1' else unit}".rstrip()
+        axes.annotate(text, (1.01, row), xycoords=("axes fraction", "data"), va="center")
+    axes.axvline(0.0, color=style.GREY, lw=1.0)
+    axes.set_yticks(range(count), found.names)
+    axes.set_ylim(count - 0.4, -0.6)
+    axes.set_xlabel("change from the start  [%; of a start at 0: standard errors]")
+    title = "Fitted values, with one and two standard errors"
+    axes.set_title(title if found.is_found else f"{title}: NOT FOUND, do not use", fontsize=12)
+    return figure
+
+
+#: What the panels of a contact show, s before and after it.
+_CONTACT = (0.02, 0.3)
+
+
 def _draw_trial(found: Calibration, number: int) -> Figure:
-    """Return the figure of a trial: what was measured and simulated, and the residuals beside.
+    """Return the figure of a trial: what was measured and simulated, the contact, the residuals.
 
     A residual is measured less simulated, in standard deviations of the noise.
     """
@@ -58,24 +86,33 @@ def _draw_trial(found: Calibration, number: int) -> Figure:
     trial = found.problem.trials[number]
     seen = found.linear.shown[number].view.values
     count = sum(len(PARTS[channel.name]) for channel in trial.channels)
-    figure, axes = subplots(12.0, 1.7 * count + 0.6, count, 2, font=11.0, sharex=True)
+    figure, axes = subplots(15.0, 1.7 * count + 0.6, count, 3, font=11.0, sharex="col")
+    begin, end = trial.contact - _CONTACT[0], trial.contact + _CONTACT[1]
     row = 0
     for channel, simulated in zip(trial.channels, seen, strict=True):
         step = max(1, channel.t.size // _MAX_POINTS)
         for k, part in enumerate(PARTS[channel.name]):
-            values, residuals = axes[row]
-            measured = channel.values[:, k]
-            values.plot(
-                channel.t[::step], measured[::step] * part.factor, ".", color=style.GREY, ms=2.5
+            values, contact, residuals = axes[row]
+            measured, fitted = channel.values[:, k] * part.factor, simulated[:, k] * part.factor
+            inside = (channel.t >= begin) & (channel.t <= end)
+            for panel, chosen in ((values, slice(None, None, step)), (contact, inside)):
+                t = channel.t[chosen]
+                panel.plot(t, measured[chosen], ".", color=style.GREY, ms=2.5, rasterized=True)
+                panel.plot(t, fitted[chosen], "-", color=style.BLUE, lw=1.2)
+            off = np.clip(
+                (channel.values[:, k] - simulated[:, k]) / channel.sigma[k], -_SHOWN, _SHOWN
             )
-            values.plot(channel.t, simulated[:, k] * part.factor, "-", color=style.BLUE, lw=1.2)
-            off = (measured - simulated[:, k]) / channel.sigma[k]
-            residuals.plot(channel.t, np.clip(off, -_SHOWN, _SHOWN), ".", color=style.BLUE, ms=2.0)
+            residuals.plot(channel.t, off, ".", color=style.BLUE, ms=2.0, rasterized=True)
+            if np.isfinite(begin):
+                residuals.axvspan(begin, end, color=style.YELLOW, alpha=0.25, lw=0)
             residuals.set_ylim(-_SHOWN, _SHOWN)
             values.set_ylabel(f"{channel.name} {part.label}\n[{part.unit}]".strip())
             row += 1
     axes[0, 0].set_title(f"{Path(trial.name).name}: measured (grey), simulated (blue)", fontsize=12)
-    axes[0, 1].set_title("residuals, standard deviations", fontsize=12)
+    axes[0, 1].set_title("the contact", fontsize=12)
+    axes[0, 2].set_title("residuals, standard deviations; the contact shaded", fontsize=12)
+    if np.isfinite(begin):
+        axes[0, 1].set_xlim(begin, end)
     for each in axes[-1]:
         each.set_xlabel("time since the release that was assumed  [s]")
     return figure

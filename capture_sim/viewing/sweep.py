@@ -23,7 +23,7 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator
 
 from capture_sim.run.loads import LOADS
-from capture_sim.studies.axes import Axis
+from capture_sim.studies.axes import Axis, typed_unit
 from capture_sim.studies.capture_range import CaptureRange
 from capture_sim.studies.dispersion import (
     CAPTURED_LEFT,
@@ -73,8 +73,8 @@ def _load(name: str) -> _Shown:
 
 
 def _input(axis: Axis) -> _Shown:
-    units = {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0)), "1": ("", 1.0)}
-    return _Shown(axis.name, *units.get(axis.unit, (axis.unit, 1.0)))
+    unit, factor = typed_unit(axis, {"m": "mm", "rad": "deg"}.get(axis.unit, ""))
+    return _Shown(axis.name, "" if unit == "1" else unit, factor)
 
 
 def draw_sweep(
@@ -252,11 +252,14 @@ def draw_map(
         captured, left = (
             float((page["outcome"] == outcome).mean()) for outcome in (CAPTURED, CAPTURED_LEFT)
         )
-        share = f"{captured:.1%} captured"
+        share = f"{captured:.1%} captured and not left again"
         found = (ranges or {}).get(values if isinstance(values, tuple) else ())
         if found is not None:
             share = f"capture range {found.share * 100.0:.1f} +- {found.error * 100.0:.1f} %"
-        share += f"; besides, {left:.1%} captured and left again" if left else ""
+            for at in found.edges:
+                x, y = (v * _input(axis).factor for v, axis in zip(at, (across, up), strict=True))
+                panel.plot(x, y, "o", color=style.BLACK, mfc="white", ms=3.5, zorder=6)
+        share += f"\nbesides, {left:.1%} captured and left again" if left else ""
         where = ", ".join(
             f"{axis.name} = {value * _input(axis).factor:.4g} {_input(axis).unit}"
             for axis, value in shown
@@ -272,6 +275,9 @@ def draw_map(
     ]
     if FAILED in given:
         patches.append(Patch(color=_UNCOMPUTED, label="not computed"))
+    if any(found.edges for found in (ranges or {}).values()):
+        look: dict[str, Any] = {"ls": "", "color": style.BLACK, "mfc": "white", "ms": 3.5}
+        patches.append(Line2D([], [], marker="o", label="edge, by bisection", **look))
     if limits:
         texts = ", ".join(limit.text for limit in limits)
         label = f"exceeds a limit: {texts}"
@@ -375,7 +381,13 @@ def draw_loads(table: pandas.DataFrame, title: str, limits: Sequence[Limit]) -> 
         panel.set_xlabel(shown.label)
         panel.set_ylabel("runs")
         panel.yaxis.set_major_locator(MaxNLocator(integer=True))
-    panels[0, 0].legend(fontsize=11)
+    entries: dict[str, Any] = {}
+    for panel in panels.flat:  # each limit is of one load
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    figure.legend(
+        list(entries.values()), list(entries), loc="outside lower center", ncols=4, fontsize=11
+    )
     p = hold_probability(table)
     interval = f"95 % interval {p.low:.1%} to {p.high:.1%}"
     note = f", {p.failed} could not be computed" if p.failed else ""
@@ -403,8 +415,9 @@ def draw_tornado(table: pandas.DataFrame, correlations: pandas.DataFrame, title:
     for panel, name in zip(panels, correlations, strict=True):
         values = correlations.loc[order, name].fillna(0.0)
         colours = [style.VERMILION if value < 0 else style.BLUE for value in values]
-        panel.barh(range(len(order)), values, color=colours, height=0.7)
-        panel.set_xlim(-1.05, 1.05)
+        bars = panel.barh(range(len(order)), values, color=colours, height=0.7)
+        panel.bar_label(bars, [f"{value:+.2f}" for value in values], padding=3, fontsize=9.5)
+        panel.set_xlim(-1.3, 1.3)
     figure.supxlabel("rank correlation (Spearman)", fontsize=12)
     return figure
 

@@ -53,7 +53,8 @@ def test_plots_and_reports_go_next_to_the_recording(recorded, tmp_path, monkeypa
     assert [main([command, *paths]) for command in ("view", "compare", "report")] == [0, 0, 0]
     assert not list(elsewhere.iterdir())
     new = {file.name for file in set(folder.iterdir()) - before}
-    assert new == {"plots", "tilt_0_vs_tilt_p10.png", "report.html"}
+    compared = {"tilt_0_vs_tilt_p10.png", "tilt_0_vs_tilt_p10.html"}
+    assert new == {"plots", "report.html", *compared}
     assert (folder / "plots" / "overview.png").is_file()
     for name in ("tilt_0.png", "overview.png", "runs.rrd"):
         assert (folder / name).read_text() == "of earlier runs"

@@ -8,7 +8,7 @@ from capture_sim.cli import main
 from capture_sim.scene.loading import change_scene
 from capture_sim.studies.axes import Axis
 from capture_sim.studies.capture_range import area_of_map, capture_ranges, make_area, points_of
-from capture_sim.studies.outcome import run_to_verdict
+from capture_sim.studies.outcome import run_to_end
 
 NAMES = ("approach.offset", "approach.angle", "approach.speed")
 
@@ -111,13 +111,12 @@ def test_a_sweep_prints_the_capture_range_of_its_map(tmp_path, capsys):
     vary = ["--vary=approach.offset=-80 mm:80 mm:5", "--vary=buffer.c_A=10,20"]
     assert main(["sweep", "paper_designed", *vary, *changes]) == 0
     printed = capsys.readouterr().out
-    assert "capture range: share of the area approach.offset -0.08 to 0.08 m" in printed
-    line = next(line for line in printed.splitlines() if line.startswith("buffer.c_A = 10.0: "))
+    assert "capture range: share of the area approach.offset -80 to 80 mm" in printed
+    line = next(line for line in printed.splitlines() if line.startswith("buffer.c_A = 10: "))
     share, error = (float(text) / 100.0 for text in line.split(": ")[1].split()[:3:2])
     scene = load_scene("paper_designed", ["run.t_end=1.5", "buffer.c_A=10", "run.rtol=1e-6"])
     offsets = np.linspace(-0.08, 0.08, 33)
-    captured = [
-        run_to_verdict(change_scene(scene, {"approach.offset": x})).captured for x in offsets
-    ]
+    outcomes = [run_to_end(change_scene(scene, {"approach.offset": x})) for x in offsets]
+    captured = [each.captured and not each.left_again for each in outcomes]
     assert 0.0 < np.mean(captured) < 1.0
     assert share == pytest.approx(np.mean(captured), abs=error + 2.0 / 33)

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -597,6 +598,22 @@ def test_a_table_has_its_units_and_is_read_as_cases_again(suffix, tmp_path, caps
     assert len(made_by["scene_sha256"]) == 64
     assert "run.t_end=3" in made_by["overrides"]
     assert made_by["software"][1].startswith(f"capture_sim {capture_sim.__version__}")
+
+
+def test_inputs_are_printed_in_the_unit_in_which_they_were_typed(tmp_path, capsys):
+    """And the commands, whose values are rounded, repeat the loads that are printed."""
+    vary = ["--vary=approach.angle=-7 deg:7 deg:3", "--vary=approach.offset=normal(2 cm, 1 mm)"]
+    options = ["--runs=2", "--set=run.t_end=3", "--workers=1", f"--out={tmp_path / 'a.csv'}"]
+    assert main(["sweep", "tilt_0", *vary, *options]) == 0
+    printed = capsys.readouterr().out
+    assert "approach.angle = -7 deg: captured" in printed
+    found = re.findall(r"\d: ([\d.]+) N, [\w, ]+: capture-sim run tilt_0 (.*)", printed)
+    assert len(found) == 3
+    for force, words in found:
+        overrides = [word for word in shlex.split(words) if word != "--set"]
+        assert sum(word.endswith((" deg", " cm")) for word in overrides) == 2
+        again = capture_sim.simulate("tilt_0", overrides).loads["max_normal_force"]
+        assert f"{again:.4g}" == force
 
 
 def test_sensors_change_no_verdict_and_the_command_says_so(tmp_path, capsys):

@@ -18,6 +18,7 @@ from capture_sim.viewing import calibration
 )
 def test_every_trial_has_its_figure(files, monkeypatch):
     monkeypatch.setattr(calibration, "_draw_trial", lambda _, number: number)
+    monkeypatch.setattr(calibration, "_draw_values", lambda _: "values")
     monkeypatch.setattr(calibration, "_draw_correlation", lambda _: "correlation")
     monkeypatch.setattr(calibration, "_draw_prediction", lambda _: "prediction")
     trials = [SimpleNamespace(name=file) for file in files]
@@ -25,6 +26,7 @@ def test_every_trial_has_its_figure(files, monkeypatch):
         problem=SimpleNamespace(trials=trials), names=["k_A", "c_A"], prediction="to come"
     )
     figures = calibration.draw_calibration(found)
+    assert figures.pop("values") == "values"
     assert figures.pop("correlation") == "correlation"
     assert figures.pop("prediction") == "prediction"
     assert list(figures.values()) == list(range(len(files)))
