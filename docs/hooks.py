@@ -103,11 +103,14 @@ def with_marks(markdown: str) -> str:
     return "".join(pieces)
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Put in the tables that only the site has, and mark the formulas.
 
-    A link to the messages' folder leads to their page, and one to another file nowhere.
+    A link to the messages' folder leads to their page, and one to another file nowhere.  A search
+    finds the evidence last.
     """
+    if page.file.src_uri.startswith("evidence/"):
+        page.meta["search"] = {"boost": 0.1}
     markdown = ON_THE_SITE.sub(lambda found: reference.ON_THE_SITE[found[1]](), markdown)
     markdown = OUTSIDE.sub(r"`\1`", markdown)
     return with_marks(markdown.replace("](../msg)", f"]({TYPES})"))
