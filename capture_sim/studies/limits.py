@@ -10,6 +10,7 @@ from typing import Any
 
 from capture_sim.errors import SceneError
 from capture_sim.run.loads import LOADS, Load
+from capture_sim.scene.paths import did_you_mean
 from capture_sim.scene.quantities import POSITIVE, Declared, accept
 
 _BEFORE_LATCH = "_before_latch"
@@ -119,8 +120,8 @@ def make_limit(key: str, given: Any) -> Limit:
 
 def _check_load(where: str, key: str) -> None:
     if key not in LOAD_KEYS:
-        near = difflib.get_close_matches(key[:100], LOAD_KEYS, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"available: {', '.join(LOAD_KEYS)}"
+        near = difflib.get_close_matches(key[:100], LOAD_KEYS, n=3)
+        hint = did_you_mean(near) if near else f"available: {', '.join(LOAD_KEYS)}"
         raise SceneError(f"{where}: is no load; {hint}")
 
 

@@ -632,9 +632,11 @@ class DesignSearch:
             for limit in self._requirements.limits
             if limit.is_exceeded(best.loads[limit.key])
         )
-        if not excess:
-            least = self._requirements.least_range
+        least = self._requirements.least_range
+        if not excess and least > 0.0:
             excess = f"a capture range of {best.captured_share:.1%} ({least:.1%} required)"
+        elif not excess:
+            excess = "a load at its limit: the search stays 1e-5 below"
         return f"{among}, none captures within the limits; the nearest, {values_text}, has {excess}"
 
 

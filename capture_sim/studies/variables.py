@@ -145,6 +145,9 @@ def make_variables(
     names = {variable.name for variable in variables}
     if not variables:
         raise SceneError("free: must have one value or more")
+    if all(len(each.choices) == 1 for each in variables):
+        held = ", ".join(free)
+        raise SceneError(f"free {held}: nothing to search: one must have a range or more values")
     if {DAMPING_RATIO, "buffer.c_A"} <= names:
         raise SceneError(f"free {DAMPING_RATIO}: must be without buffer.c_A, which it gives")
     return tuple(variables)

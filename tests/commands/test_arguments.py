@@ -165,6 +165,8 @@ NO_FACTOR = "must be a number >= 0 and <= 1000"
         (DESIGN, ["--minimize=max_force"], "minimize max_force: is no load; did you mean"),
         (DESIGN, ["--minimize=max_torsion,max_torsion"], "max_torsion: must be given once"),
         (DESIGN, ["--maximize=max_torsion"], "maximize max_torsion: must be capture_range"),
+        (DESIGN, ["--minimize=max_force"], "did you mean max_"),
+        (DESIGN, ["--free=buffer.k_A=500"], "free buffer.k_A=500: nothing to search"),
         (DESIGN, ["--maximize=capture_range"], "capture_range: must have an area of approach"),
         (DESIGN, ["--approach=offset=5:-5:3"], "must be LOW:HIGH:COUNT with LOW < HIGH"),
         (DESIGN, ["--pick=13"], "--pick: '13': must be knee, or the number of a row, 1 to 12"),
