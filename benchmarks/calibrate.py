@@ -2,6 +2,7 @@
 
     python -m benchmarks.calibrate recover                # ten minutes: 45 s of CPU a seed
     python -m benchmarks.calibrate lacks --seeds 8        # half an hour: 50 s of CPU a fit
+    python -m benchmarks.calibrate foreign --seeds 14     # benches of another model
     python -m benchmarks.calibrate starts --seeds 8       # from starts up to a factor of 2 off
     python -m benchmarks.calibrate known --folder FOLDER  # recordings of a known bench
 
@@ -27,9 +28,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.foreign_plant import Besides, motion_of
 from benchmarks.pages import table, write_parts
 from capture_sim import load_scene, read_run
 from capture_sim.dynamics.bench import Bench
+from capture_sim.dynamics.samples import SAMPLE
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.run.given import Given
 from capture_sim.run.run import MeasuredRun, Run
@@ -66,6 +69,19 @@ NOISE = {
 }
 AXES = ("x", "y", "theta")
 BEFORE, AFTER, RELEASE = 0.2, 1.5, 0.05
+#: Resolution of the buffer's encoders on benches of another model, m and rad.
+QUANTA = {"stroke": 1e-5, "torsion": 5e-5}
+#: What benches of another model have besides, its least and largest size, and the names that may
+#: stand for it.
+BESIDES: dict[str, tuple[float, float, tuple[str, ...]]] = {
+    "nothing": (0.0, 0.0, ()),
+    "tilt, rad": (5e-5, 4e-4, ("floor.tilt_x", "floor.tilt_y")),
+    "drag, N s/m": (0.03, 0.3, ("drag",)),
+    "cable, N": (0.003, 0.03, ("cable",)),
+    "hysteresis, N": (0.02, 0.3, ("buffer.friction",)),
+    "latency, s": (2e-3, 1e-2, ("delay.buffer",)),
+    "gain": (1.01, 1.05, ("scale.stroke",)),
+}
 #: Names that count as found for a model that lacks something, and its size by a uniform number.
 LACKS = {
     "delay": (("delay.buffer",), 2e-3, 10e-3),
@@ -114,8 +130,12 @@ def measured(
     more: dict[str, float] | None = None,
     late: float = 0.0,
     scale: float = 1.0,
+    besides: Besides | None = None,
 ) -> Run:
-    """Return a trial of a bench; its launch is the one that was planned for tilt_0."""
+    """Return a trial of a bench; its launch is the one that was planned for tilt_0.
+
+    With ``besides`` the motion is that of another model, which also has what it names.
+    """
     scene = load_scene(name)
     plan = plan_launch(load_scene("tilt_0"))
     shift = rng.normal(size=(2, 3)) * PLACED
@@ -128,11 +148,20 @@ def measured(
     launch |= {"string.hanging_mass": plan.hanging_mass, "string.drop_height": plan.drop_height}
     more = more or {}
     off = {name: value for name, value in more.items() if name not in SENSOR_ERRORS}
-    bench = Bench(with_values(scene, {**fields, **launch, **off}))
+    own = with_values(scene, {**fields, **launch, **off})
     dense = np.arange(0.0, 6.0, 2e-4)
-    samples = bench.advance(dense)
-    begun = bench.touches["start"]
-    end = (float(begun.min()) if begun.size else 3.0) + AFTER
+    if besides is None:
+        bench = Bench(own)
+        samples = bench.advance(dense)
+        begun = bench.touches["start"]
+        end = (float(begun.min()) if begun.size else 3.0) + AFTER
+    else:
+        samples = np.zeros(dense.size, SAMPLE)
+        samples["t"] = dense
+        q, first = motion_of(own, besides, dense)
+        samples["q"], samples["torsion"] = q, q[:, 3] - q[:, 2]
+        samples["axial_stroke"] = q[:, 4] - own.rest_length
+        end = min(first, 3.0) + AFTER
     exact = series_in(samples)
     wrong = float(rng.uniform(-RELEASE, RELEASE))
     series = {}
@@ -148,6 +177,8 @@ def measured(
         seen = np.stack([np.interp(since, exact_t, column) for column in columns.T], axis=1)
         values = (seen[:, 0] if buffer else seen) * (scale if quantity == "stroke" else 1.0)
         noisy = values + rng.normal(size=values.shape) * sigma
+        if buffer and besides is not None:
+            noisy = np.round(noisy / QUANTA[quantity]) * QUANTA[quantity]
         series[quantity] = {"a sensor": Series(t + wrong, noisy)}
     return MeasuredRun(name, Given(scene=scene, series=series, plan=plan))
 
@@ -333,6 +364,88 @@ def lacks(asked: argparse.Namespace, _: Path) -> list[str]:
     return [table([*head, "median error of its size"], rows)]
 
 
+class Foreign(NamedTuple):
+    """A fit of a bench of another model, which has one thing besides."""
+
+    seed: int
+    kind: str
+    size: float
+    verdict: str
+    z: np.ndarray  # (10,), errors over their standard errors
+    wider: float  # median of the standard errors over those by noise alone
+    named: str  # what the model is said to lack
+    is_named: bool
+    spent: float  # s of CPU
+
+
+def fit_foreign(seed: int) -> Foreign | None:
+    """Fit a random bench of another model; kinds of what it has besides take turns."""
+    rng = np.random.default_rng([seed, 78])
+    true, held = random_bench(rng), random_held(rng)
+    kind = list(BESIDES)[seed % len(BESIDES)]
+    low, high, names = BESIDES[kind]
+    size = low * (high / low) ** float(rng.uniform()) if low else 0.0
+    name, sign = kind.partition(",")[0], float(rng.choice([-1.0, 1.0]))
+    tilt = tuple(held.pop(f"floor.tilt_{axis}") for axis in "xy")
+    besides = Besides(tilt=tilt)  # type: ignore[arg-type]
+    if name == "tilt":
+        angle = float(rng.uniform(0.0, 2.0 * np.pi))
+        besides = Besides(tilt=(size * float(np.cos(angle)), size * float(np.sin(angle))))
+    elif name == "drag":
+        besides = besides._replace(drag=(size, size))
+    elif name == "cable":
+        pull = [0.0] * 4
+        pull[int(rng.integers(4))] = sign * size
+        besides = besides._replace(cable=tuple(pull))  # type: ignore[arg-type]
+    elif name == "hysteresis":
+        besides = besides._replace(hysteresis=size)
+    late, scale = (size if name == "latency" else 0.0), (size if name == "gain" else 1.0)
+    begin = time.process_time()
+    try:
+        trials = [measured(one, true, rng, held, late, scale, besides) for one in TRIALS]
+    except (SceneError, SimulationError):
+        return None
+    found = calibrate(trials, restarts=2)
+    lacking = [one.score.name for one in found.lacking]
+    also = " ".join(finding.text for finding in found.findings if finding.kind == "lacks")
+    return Foreign(
+        seed=seed,
+        kind=kind,
+        size=size,
+        verdict="found" if found.is_found else "; ".join(f.kind for f in found.findings),
+        z=(found.values - [true[name] for name in found.names]) / found.errors,
+        wider=float(np.median(found.errors / found.noise_errors)),
+        named=", ".join(lacking),
+        is_named=any(each in (*lacking, also) or each in also for each in names),
+        spent=time.process_time() - begin,
+    )
+
+
+def foreign(asked: argparse.Namespace, _: Path) -> list[str]:
+    """Fit benches of another model, each with one thing besides."""
+    with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as processes:
+        answers = []
+        for one in processes.map(fit_foreign, _seeds(asked)):
+            answers.append(one)
+            print(one, flush=True)
+    benches = [one for one in answers if one is not None]
+    rows = [
+        [
+            one.seed,
+            one.kind,
+            f"{one.size:.3g}",
+            one.verdict,
+            f"{np.abs(one.z).max():.1f}",
+            f"{one.wider:.1f}",
+            one.named or "-",
+            f"{one.spent:.0f} s",
+        ]
+        for one in benches
+    ]
+    head = ["seed", "has besides", "size", "the fit says", "largest", "wider", "named", "CPU"]
+    return [table(head, rows)]
+
+
 def starts(asked: argparse.Namespace, _: Path) -> list[str]:
     """Fit one bench from scenes whose values are up to a factor of 2 off."""
     rng = np.random.default_rng(0)
@@ -420,8 +533,14 @@ if __name__ == "__main__":
     write_parts(
         "calibration_checked",
         __doc__,
-        {"recover": recover, "lacks": lacks, "starts": starts, "known": known},
-        untimed=("recover", "lacks", "starts", "known"),
+        {
+            "recover": recover,
+            "lacks": lacks,
+            "foreign": foreign,
+            "starts": starts,
+            "known": known,
+        },
+        untimed=("recover", "lacks", "foreign", "starts", "known"),
         seeds=(20, "number of seeds"),
         first=(0, "first seed"),
         folder=(None, "folder of the recordings of a known bench"),

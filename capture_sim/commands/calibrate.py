@@ -72,9 +72,9 @@ DESCRIPTION = (
     "the tests of the fit; write a calibrated scene, the covariance and plots."
 )
 FAILS = (
-    "a test fails, with the reasons: searches or trials that do not agree, residuals that are "
-    "not noise, something that the model lacks, a value at the end of its range, or a "
-    "direction without information"
+    "a test fails, with the reasons, and the errors are not enlarged to be usable: searches or "
+    "trials that do not agree, residuals that are not noise, something that the model lacks, a "
+    "value at the end of its range, or a direction without information"
 )
 GIVES = "what is in calibration.json"
 EXAMPLE = """\
@@ -217,7 +217,7 @@ def run(options: argparse.Namespace) -> int:
     _write(found, runs, shown, options)
     if is_unfinished:
         return INTERRUPTED
-    return OK if found.is_found else FAILED
+    return OK if found.is_usable else FAILED
 
 
 def _to_predict(options: argparse.Namespace) -> Scene | None:
@@ -326,10 +326,18 @@ def _print(found: Calibration) -> None:
         echo(line)
     if found.prediction is not None:
         _print_prediction(found.prediction)
-    for finding in found.findings:
-        echo(f"not found: {finding.line}")
+    for line in verdict_lines(found):
+        echo(line)
+
+
+def verdict_lines(found: Calibration) -> list[str]:
+    """Return the verdict with its reasons, one in a line."""
     if found.is_found:
-        echo("found: all tests passed")
+        return ["found: all tests passed"]
+    lines = [f"{found.verdict}: {finding.line}" for finding in found.findings]
+    if found.is_usable:
+        lines.append("usable: the errors above are enlarged by what these residuals pull them by")
+    return lines
 
 
 def _test_lines(found: Calibration) -> list[str]:
@@ -409,7 +417,7 @@ def _write(
     echo(f"values, covariance and tests in {write_json(out / JSON, data)}")
     lines = [table_text(HEAD, parameter_rows(found)), ""]
     lines += [*found.notes, *held_lines(found), *_test_lines(found)]
-    lines += [f"not found: {finding.line}" for finding in found.findings]
+    lines += verdict_lines(found)
     write_text(out / "calibration.txt", "\n".join(lines) + "\n")
     with drawing():
         from capture_sim.viewing.calibration import draw_calibration
@@ -419,14 +427,12 @@ def _write(
         figures = draw_calibration(found)
         for name, figure in figures.items():
             echo(f"plot in {save(figure, out / f'{name}.png')}")
-        said = ["found: all tests passed"] if found.is_found else []
-        said += [f"not found: {finding.text}" for finding in found.findings]
         pictures = {
             name: drawn({_CAPTIONS.get(name, f"Trial {name}"): figure})
             for name, figure in figures.items()
         }
         asked = {
-            "result": "; ".join(said),
+            "result": "; ".join(verdict_lines(found)),
             "command": command_line(),
             "scene": f"{scene.name}: {scene.title}",
             "trials": ", ".join(start.trial for start in found.starts),

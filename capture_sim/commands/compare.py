@@ -236,7 +236,7 @@ def _with_calibration(options: argparse.Namespace) -> int:
         waived=options.waived,
     )
     for finding in calibrated.findings:
-        warn(f"{calibrated.path}: not found: {finding}")
+        warn(f"{calibrated.path}: {calibrated.verdict}: {finding}")
     compile_first()
     found = agreement_of(run, calibrated, placement)
     rows = [

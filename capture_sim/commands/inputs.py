@@ -371,7 +371,7 @@ def dispersions(
 
         calibrated = read_calibrated(options.calibrated)
         for finding in calibrated.findings:
-            warn(f"{calibrated.path}: not found: {finding}")
+            warn(f"{calibrated.path}: {calibrated.verdict}: {finding}")
         varied, correlated = calibrated_dispersions(calibrated, without)
         if twice := [name for name in varied if name in vary]:
             raise SceneError(f"{twice[0]}: must be in --under or --calibrated, not in both")

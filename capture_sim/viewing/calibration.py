@@ -68,7 +68,7 @@ def _draw_values(found: Calibration) -> Figure:
     axes.set_ylim(count - 0.4, -0.6)
     axes.set_xlabel("change from the start  [%; of a start at 0: standard errors]")
     title = "Fitted values, with one and two standard errors"
-    axes.set_title(title if found.is_found else f"{title}: NOT FOUND, do not use", fontsize=12)
+    axes.set_title(title if found.is_usable else f"{title}: NOT FOUND, do not use", fontsize=12)
     return figure
 
 

@@ -191,6 +191,32 @@ def block_means(at: Linear, problem: Problem) -> list[BlockMean]:
     return found
 
 
+def clustered(at: Linear, problem: Problem) -> np.ndarray:
+    """Return the covariance (d, d) of a place whose residuals are correlated in a way not known.
+
+    The residuals of one measured part in one phase of a trial are a cluster.  Of each, what it
+    alone pulls the parameters by counts (cluster-robust covariance: Liang and Zeger, Biometrika 73,
+    1986), beside the covariance by independent noise.
+    """
+    pulls = np.zeros((problem.dimension, problem.dimension))
+    for number, (trial, one, J) in enumerate(
+        zip(problem.trials, at.shown, at.jacobians, strict=True)
+    ):
+        chosen = np.r_[0 : problem.shared, problem.own(number)]
+        release = float(at.place[problem.own(number)][-1] * OWN_SIZE[-1])
+        begin = 0
+        for channel in trial.channels:
+            shape, end = channel.values.shape, begin + channel.values.size
+            phases = _phases(trial, channel.t, release)
+            products = (J[begin:end] * one.residuals[begin:end, None]).reshape(*shape, -1)
+            begin = end
+            for phase in range(len(PHASES)):
+                for pull in products[phases == phase].sum(axis=0):
+                    pulls[np.ix_(chosen, chosen)] += np.outer(pull, pull)
+    covariance = at.covariance
+    return np.asarray(covariance + covariance @ pulls @ covariance)
+
+
 def _phases(trial: FittedTrial, t: np.ndarray, release: float) -> np.ndarray:
     """Return the index in PHASES at each time, (n,); ``release`` in s."""
     ends = [release, trial.contact + _APPROACH_END, trial.contact + _CONTACT_END]

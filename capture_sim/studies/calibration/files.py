@@ -38,6 +38,7 @@ def as_data(found: Calibration, hashes: Mapping[str, str]) -> dict[str, Any]:
         "kind": KIND,
         "version": VERSION,
         "is_found": found.is_found,
+        "verdict": found.verdict,
         "findings": [{"kind": f.kind, "text": f.text, "advice": f.advice} for f in found.findings],
         "names": list(found.names),
         "values": _plain(found.values),
@@ -132,7 +133,7 @@ class Calibrated:
     """Results of a calibration, read from its file for other studies.
 
     ``names`` are those of the k parameters.  ``is_found`` is True if all tests of the fit passed;
-    ``findings`` are the reasons to reject it.
+    ``findings`` are the reasons why not.  ``verdict`` is that of :attr:`Calibration.verdict`.
     """
 
     path: str
@@ -143,6 +144,7 @@ class Calibrated:
     findings: tuple[str, ...]
     #: Held values by name: the scene's, and what the fit found of them with its standard error; SI.
     held: Mapping[str, tuple[float, Weighed]] = field(default_factory=dict)
+    verdict: str = "found"
 
     @property
     def errors(self) -> np.ndarray:
@@ -197,6 +199,7 @@ def read_calibrated(path: Path) -> Calibrated:
         covariance = np.array(data["covariance"], dtype=float)
         findings = tuple(f"{f['text']}; {f['advice']}" for f in data["findings"])
         is_found = bool(data["is_found"])
+        verdict = str(data.get("verdict", "found" if is_found else "not found"))
         # files of before held values joined have none
         held = {
             str(one["name"]): (
@@ -213,7 +216,7 @@ def read_calibrated(path: Path) -> Calibrated:
         raise SceneError(f"{file}: names, values and covariance do not belong together")
     if k and not np.linalg.eigvalsh(covariance)[0] > -1e-9 * np.trace(covariance):
         raise SceneError(f"{file}: covariance: must have no negative variance")
-    return Calibrated(str(file), names, values, covariance, is_found, findings, held)
+    return Calibrated(str(file), names, values, covariance, is_found, findings, held, verdict)
 
 
 #: Factor on all correlations.  It keeps the correlation of two fields of one parameter below 1,
@@ -256,7 +259,7 @@ def scene_text(found: Calibration, scene: Scene, extends: str, title: str) -> st
     """
     lines = [
         f"# {title}",
-        *(f"# not found: {finding.text}" for finding in found.findings),
+        *(f"# {found.verdict}: {finding.text}" for finding in found.findings),
         f"extends: {extends}",
         f"title: {json.dumps(title)}",
     ]
