@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from measured_trials import measured_trial, short_scene
+from measured_trials import NOISE, measured_trial, short_scene
 
 import capture_sim
 from capture_sim.errors import RecordingError, SceneError
@@ -25,7 +25,7 @@ from capture_sim.studies.calibration.calibrate import (
     lacking_text,
 )
 from capture_sim.studies.calibration.candidates import FIELDS, Score, possible
-from capture_sim.studies.calibration.checks import convergence, direction_words
+from capture_sim.studies.calibration.checks import clustered, convergence, direction_words
 from capture_sim.studies.calibration.descent import EndedSearch, Found
 from capture_sim.studies.calibration.files import as_data, read_calibrated, scene_text
 from capture_sim.studies.calibration.frame import NO_FRAME, Frame, in_frame_of_scene
@@ -470,6 +470,36 @@ def test_values_that_are_held_wrong_are_in_the_errors(wrong):
     data = as_data(found, {})
     assert [one["name"] for one in data["held"]] == list(held)
     assert data["held"][0]["moves"].keys() == set(names)
+
+
+def test_a_fit_with_a_small_wave_in_its_residuals_is_usable_with_larger_errors():
+    """A sensor's wave of 0.4 standard deviations; of 1.5, the values are wrong, and refused."""
+    runs = two_trials()
+    for run in runs:
+        (stroke,) = run.series["stroke"].values()
+        wave = 0.4 * NOISE["stroke"] * np.sin(stroke.t * 18.0)
+        run.series["stroke"]["a sensor"] = stroke._replace(values=stroke.values + wave)
+    found = calibrate(runs, NAMES, restarts=0)
+    assert found.verdict == "usable", found.findings
+    assert {finding.kind for finding in found.findings} <= {"residuals", "lacks", "trials"}
+    assert "usable" in repr(found)
+    assert as_data(found, {})["verdict"] == "usable"
+    assert (found.errors > found.noise_errors).all()
+    assert np.abs((found.values - VALUES) / found.errors).max() < 4.0
+
+
+def test_clusters_of_residuals_widen_errors_by_what_they_share():
+    """Of independent noise by little, of residuals that all pull alike by their number."""
+    found = calibrate(two_trials(), NAMES, restarts=0)
+    at, problem = found.linear, found.problem
+    noise = clustered(at, problem)[2, 2] / at.covariance[2, 2]
+    assert 1.0 < noise < 4.0
+    shown = [
+        dataclasses.replace(one, residuals=one.residuals + 0.5 * np.sign(J[:, 2]))
+        for one, J in zip(at.shown, at.jacobians, strict=True)
+    ]
+    alike = dataclasses.replace(at, shown=shown)
+    assert clustered(alike, problem)[2, 2] / at.covariance[2, 2] > 10.0 * noise
 
 
 def test_an_exact_value_is_not_held():
