@@ -20,7 +20,7 @@ from capture_sim.run.run import Run, checked
 from capture_sim.run.touches import Touches
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import LAUNCH, NO_PHYSICS, expanded, field_names, get, with_values
-from capture_sim.studies.calibration.candidates import NAMED, Score, scores
+from capture_sim.studies.calibration.candidates import NAMED, Score, differing, scores
 from capture_sim.studies.calibration.checks import (
     AGREEING,
     ALARM_BLOCKS,
@@ -111,7 +111,7 @@ _HELD_SHARE = 0.05
 _BAD = 1.5
 #: A fit that fails only tests of these kinds is usable, with larger errors, if chi2 per degree of
 #: freedom is at most this: benchmarks/calibrate.py, benches of another model.
-_USABLE, _USABLE_CHI2 = frozenset({"residuals", "lacks", "trials"}), 1.1
+_USABLE, _USABLE_CHI2 = frozenset({"residuals", "lacks"}), 1.1
 #: A fit whose residuals are not noise is repeated once from another start.  Standard deviation of
 #: the new start from the first one, in coordinates.
 _ELSEWHERE = 0.15
@@ -687,7 +687,8 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
                 "trials",
                 f"the trials do not agree (chi2 {whole.statistic:.4g} for {whole.freedom}): "
                 f"{problem.trials[worst].name} is furthest from the others "
-                f"({each[worst].statistic:.4g} for {each[worst].freedom})",
+                f"({each[worst].statistic:.4g} for {each[worst].freedom}), "
+                f"{_differs_in(at, problem, worst, fitting.fitted)}",
                 "leave it out, or look for what changed on the bench",
             )
         )
@@ -723,6 +724,17 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
         findings.append(Finding("undetermined", *direction_words(problem.parameters, direction)))
     tests = whole, each, blocks, candidates, lacking
     return _result(problem, found, findings, *tests, fitted=fitting.fitted, noise=fitting.noise)
+
+
+def _differs_in(at: Linear, problem: Problem, number: int, fitted: int) -> str:
+    """Return in words which parameter a trial may have another value of."""
+    ranked = differing(at, problem, number, fitted)
+    (best, change), *others = ranked
+    rivals = [score.name for score, _ in others if score.gain > _RIVAL * best.gain]
+    if rivals:
+        return f"as if by another value of one of {', '.join((best.name, *rivals))}"
+    size = f" ({change:+.2%})" if math.isfinite(change) else ""
+    return f"as if by another {best.name} there{size}"
 
 
 def _fit_with(name: str, parameters: Sequence[Parameter]) -> list[str]:

@@ -100,6 +100,23 @@ def scores(at: Linear, problem: Problem) -> list[Score]:
     return sorted(found, key=lambda score: -score.gain)
 
 
+def differing(at: Linear, problem: Problem, number: int, fitted: int) -> list[tuple[Score, float]]:
+    """Return the parameters that may have another value in one trial, the likeliest first.
+
+    ``number`` is that of the trial, ``fitted`` the number of parameters that may.  Each comes with
+    its change in that trial as a share of its value, NaN of a value of 0.  Its gain is the decrease
+    of chi2 if it alone is another one there.
+    """
+    found = []
+    for j, parameter in enumerate(problem.parameters[:fitted]):
+        columns = [J[:, j] * (n == number) for n, J in enumerate(at.jacobians)]
+        score = _score(at, problem, parameter.name, "", columns, 0.0, 1.0, parameter.unit)
+        x = float(at.place[j])
+        value = parameter.value(x)
+        found.append((score, parameter.slope(x) * score.estimate / value if value else math.nan))
+    return sorted(found, key=lambda each: -each[0].gain)
+
+
 def _all(at: Linear, problem: Problem) -> Iterator[Score]:
     scene = problem.trials[0].scene
     fitted = {p.name for p in problem.parameters}
