@@ -122,6 +122,8 @@ def test_what_the_model_lacks_is_named_with_its_size(name, more, true):
     assert not found.is_found
     assert name in named
     assert abs(named[name].estimate - true) < max(5.0 * named[name].error, 0.02 * true)
+    lacks = [finding for finding in found.findings if finding.kind == "lacks"]
+    assert not any("no candidate, e.g." in finding.advice for finding in lacks)
 
 
 @pytest.mark.parametrize("name", [field.name for field in FIELDS if "stops" not in field.name])
@@ -474,14 +476,29 @@ def test_values_that_are_held_wrong_are_in_the_errors(wrong):
     assert data["held"][0]["moves"].keys() == set(names)
 
 
-def test_a_fit_with_a_small_wave_in_its_residuals_is_usable_with_larger_errors():
-    """A sensor's wave of 0.4 standard deviations; of 1.5, the values are wrong, and refused."""
+def trials_with_a_wave(size):
+    """Two trials whose stroke has a wave that no model of the bench or its sensors has."""
     runs = two_trials()
     for run in runs:
         (stroke,) = run.series["stroke"].values()
-        wave = 0.4 * NOISE["stroke"] * np.sin(stroke.t * 18.0)
+        wave = size * NOISE["stroke"] * np.sin(stroke.t * 18.0)
         run.series["stroke"]["a sensor"] = stroke._replace(values=stroke.values + wave)
-    found = calibrate(runs, NAMES, restarts=0)
+    return runs
+
+
+@pytest.mark.long
+def test_what_does_not_explain_the_residuals_is_not_advised():
+    found = calibrate(trials_with_a_wave(2.0), NAMES, restarts=0)
+    assert found.verdict == "not found"
+    lacks = [finding for finding in found.findings if finding.kind == "lacks"]
+    assert lacks
+    for finding in lacks:
+        assert "may be another, which has no candidate" in finding.advice
+        assert "--fit" not in finding.advice
+
+
+def test_a_fit_with_a_small_wave_in_its_residuals_is_usable_with_larger_errors():
+    found = calibrate(trials_with_a_wave(0.4), NAMES, restarts=0)
     assert found.verdict == "usable", found.findings
     assert {finding.kind for finding in found.findings} <= {"residuals", "lacks"}
     assert "usable" in repr(found)

@@ -697,10 +697,16 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
         findings.append(finding)
     candidates = scores(at, problem) if has_scores else []
     lacking: list[Lacking] = []
+    is_enough = True
     if candidates and candidates[0].gain > NAMED:
-        lacking = _what_lacks(problem, at, candidates)
+        lacking, is_enough = _what_lacks(problem, at, candidates)
     for one in lacking:
-        if one.rivals:
+        if not is_enough:
+            advice = (
+                "with all that is named the residuals are still not noise, so the cause may be "
+                "another, which has no candidate, e.g. drag or a cable"
+            )
+        elif one.rivals:
             advice = "measure them apart: the cause may also have no candidate"
         elif one.score.can_be_fitted:
             names = " ".join(_fit_with(one.score.name, problem.parameters[: fitting.fitted]))
@@ -810,8 +816,13 @@ def _likely(candidates: Sequence[Score]) -> list[Score]:
     return [score for score in candidates if score.gain > NAMED]
 
 
-def _what_lacks(problem: Problem, at: Linear, candidates: Sequence[Score]) -> list[Lacking]:
-    """Add the parameters that the model lacks, one at a time, and return them."""
+def _what_lacks(
+    problem: Problem, at: Linear, candidates: Sequence[Score]
+) -> tuple[list[Lacking], bool]:
+    """Add the parameters that the model lacks, one at a time, and return them.
+
+    Also return whether they are enough: with them the residuals are noise, and the trials agree.
+    """
     found: list[Lacking] = []
     most = 1 if at.chi2 > _HOPELESS * problem.rows else _MAX_ADDED
     for _ in range(most):
@@ -838,7 +849,10 @@ def _what_lacks(problem: Problem, at: Linear, candidates: Sequence[Score]) -> li
         found.append(best[0]._replace(rivals=rivals))
         problem, at = best[1:]
         candidates = scores(at, problem)
-    return found
+    if any(not one.score.can_be_fitted for one in found):
+        return found, True  # not tried
+    is_noise = _block_finding(block_means(at, problem), problem) is None
+    return found, is_noise and trials_agree(at, problem)[0].p >= ALARM_TRIALS
 
 
 def _with(
