@@ -1,9 +1,11 @@
-"""Tables for notebooks."""
+"""Tables and figures for notebooks."""
 
 from __future__ import annotations
 
 import html
+import importlib
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 
 def html_table(caption: str, rows: Iterable[Sequence[str]], after: Sequence[str] = ()) -> str:
@@ -15,3 +17,9 @@ def html_table(caption: str, rows: Iterable[Sequence[str]], after: Sequence[str]
     )
     below = "".join(f"<p>{html.escape(line)}</p>" for line in after)
     return f"<table><caption>{html.escape(caption)}</caption>{''.join(lines)}</table>{below}"
+
+
+def drawn(what: Any) -> Any:
+    """Return the matplotlib figure of a run, a scene or the result of a study."""
+    # imported by name, because the viewing package is in a layer above what it draws
+    return importlib.import_module("capture_sim").plot(what)

@@ -6,7 +6,6 @@ sources.  The run is an :class:`ExactRun` if the full state is known, else a :cl
 
 from __future__ import annotations
 
-import importlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
-from capture_sim.base.notebook import html_table
+from capture_sim.base.notebook import drawn, html_table
 from capture_sim.detection.criteria import CaptureState, CaptureStatus
 from capture_sim.dynamics.samples import ENERGIES, Event, EventKind, Extremes
 from capture_sim.errors import RecordingError, SceneError
@@ -652,8 +651,7 @@ class Run(ABC):
         MissingPackageError
             matplotlib is not installed.
         """
-        # imported by name, because the viewing package is in a layer above this module
-        return importlib.import_module("capture_sim").plot(self)
+        return drawn(self)
 
 
 class ExactRun(Run):

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from capture_sim.base.notebook import html_table
+from capture_sim.base.notebook import drawn, html_table
 from capture_sim.errors import SceneError
 from capture_sim.scene.laws import CONTACT_LAWS, FRICTION_LAWS
 from capture_sim.scene.quantities import (
@@ -724,6 +724,16 @@ class Scene(Checked):
     def to_yaml(self) -> str:
         """Return the complete scene as YAML text; loading this text gives an equal scene."""
         return yaml_text(self)
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure of the run of this scene; see :func:`capture_sim.plot`.
+
+        Raises
+        ------
+        MissingPackageError
+            matplotlib is not installed.
+        """
+        return drawn(self)
 
     def _repr_html_(self) -> str:
         """Return the scene for a notebook: the values of each part, in SI units."""

@@ -22,9 +22,11 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 
+from capture_sim.base.notebook import drawn, html_table
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.candidates import Archive, Candidate, Evaluator, Requirements, costs_of
 from capture_sim.studies.executors import InProcess
@@ -101,6 +103,28 @@ class Design:
     def knee(self) -> int:
         """Index of the row at the knee."""
         return next(k for k, row in enumerate(self.rows) if row.is_knee)
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure; see :func:`capture_sim.plot`.
+
+        Raises
+        ------
+        MissingPackageError
+            matplotlib is not installed.
+        """
+        return drawn(self)
+
+    def _repr_html_(self) -> str:
+        """Return the rows for a notebook: objectives and values, in SI units."""
+        objectives = [each.key for each in self.requirements.objectives]
+        rows = [("row", *objectives, *(each.name for each in self.variables))]
+        for number, row in enumerate(self.rows, 1):
+            candidate = row.candidate
+            cells = [candidate.loads[key] for key in objectives] + [*candidate.values.values()]
+            name = f"{number}, the knee" if row.is_knee else f"{number}"
+            rows.append((name, *(f"{cell:.5g}" for cell in cells)))
+        lines = [self.refusal] if self.refusal else []
+        return html_table(f"design of {self.scene.name}", rows, lines)
 
     def scene_of(self, candidate: Candidate) -> Scene:
         """Return the scene with a candidate's buffer."""

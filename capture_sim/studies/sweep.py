@@ -163,6 +163,7 @@ def sweep(
     pandas.DataFrame
         One row for each run, in the order of the samples; ``attrs["units"]`` has the unit of each
         column.  After Ctrl-C, the table contains only finished runs, with a warning.
+        :func:`capture_sim.plot` draws it.
 
     Raises
     ------
@@ -383,6 +384,8 @@ def run_samples(
     table.index.name = "run"
     units = {**{axis.name: axis.unit for axis in samples.axes}, **result_units()}
     table.attrs["units"] = {name: units.get(name, "") for name in table.columns}
+    table.attrs["scene"] = scene.name
+    table.attrs["inputs"] = {axis.name: axis.text for axis in samples.axes}
     return table
 
 

@@ -17,6 +17,7 @@ from capture_sim.dynamics.samples import EventKind
 from capture_sim.messages.urdf import Box, chaser_box, target_box
 from capture_sim.run.first_contact import first_touch
 from capture_sim.run.run import Run
+from capture_sim.run.simulation import simulate
 from capture_sim.scene.parts import Scene
 from capture_sim.viewing import shapes, source, style
 from capture_sim.viewing.canvas import (
@@ -50,15 +51,19 @@ _LETTER_HEIGHT = 14.0  # points, of a letter above its dot, or below it
 _OVERLAID = ("impact_force", "distance", "axial_performance", "torsional_performance")
 
 
-def plot(*runs: Run, labels: Sequence[str] | None = None) -> Figure:
-    """Return a plot of one run, or of several runs overlaid, as a matplotlib figure.
+def plot(*runs: Any, labels: Sequence[str] | None = None) -> Figure:
+    """Return a plot of one run, of several runs overlaid, or of a study, as a matplotlib figure.
 
-    Several runs are aligned at their first touch.
+    Several runs are aligned at their first touch.  Of a study it is the main figure: the map, the
+    curve or the distributions of a sweep, the front of a design, the values of a calibration.
 
     Parameters
     ----------
     runs
-        Runs from :func:`capture_sim.simulate` or :func:`capture_sim.read_run`.
+        Runs from :func:`capture_sim.simulate` or :func:`capture_sim.read_run`.  Or one scene, which
+        is simulated; one result of :func:`capture_sim.calibrate` or of
+        :func:`capture_sim.studies.design.design_buffer`; or one table from
+        :func:`capture_sim.sweep`.
     labels
         One name for each run; None for the names of the scenes.
 
@@ -77,6 +82,8 @@ def plot(*runs: Run, labels: Sequence[str] | None = None) -> Figure:
     >>> [axes.get_title(loc="left") for axes in figure.axes]
     ['(a)', '(b)', '(c)', '(d)']
     """
+    if len(runs) == 1 and (figure := _of_study(runs[0])) is not None:
+        return figure
     for run in runs:
         if not isinstance(run, Run):
             raise TypeError(
@@ -86,6 +93,23 @@ def plot(*runs: Run, labels: Sequence[str] | None = None) -> Figure:
     if len(runs) == 1:
         return draw_run(runs[0], None if labels is None else plotted_runs(runs, labels)[0].label)
     return sheet(_OVERLAID, runs, labels=labels)
+
+
+def _of_study(what: Any) -> Figure | None:
+    """Return the main figure of a scene or the result of a study; None of anything else."""
+    from capture_sim.studies.calibration.calibrate import Calibration
+    from capture_sim.studies.design import Design
+    from capture_sim.viewing.calibration import draw_calibration
+    from capture_sim.viewing.design import draw_design
+    from capture_sim.viewing.sweep import draw_table
+
+    if isinstance(what, Scene):
+        return draw_run(simulate(what))
+    if isinstance(what, Design):
+        return draw_design(what, what.knee if what.rows else None)
+    if isinstance(what, Calibration):
+        return draw_calibration(what)["values"]
+    return draw_table(what) if "inputs" in getattr(what, "attrs", {}) else None
 
 
 def draw_run(run: Run, label: str | None = None) -> Figure:

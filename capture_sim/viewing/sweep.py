@@ -129,6 +129,17 @@ def draw_sweep(
     return figures
 
 
+def draw_table(table: pandas.DataFrame) -> Figure | None:
+    """Return the main figure of the table of a sweep; None if every run failed."""
+    units, axes = table.attrs["units"], []
+    for name, text in table.attrs["inputs"].items():
+        is_drawn = "(" in text  # as a distribution is given
+        values = () if is_drawn else tuple(table[name].unique())
+        axes.append(Axis(name, units[name], values, is_drawn or None, text))
+    figures = draw_sweep(table, axes, table.attrs["scene"])
+    return next(iter(figures.values()), None)
+
+
 def draw_curve(table: pandas.DataFrame, axis: Axis, title: str, limits: Sequence[Limit]) -> Figure:
     """Return a figure of the main loads over the values of one input, with a panel for each load.
 

@@ -61,6 +61,7 @@ def test_two_trials_give_their_parameters_back():
     found = calibrate(two_trials(shift=(1e-3, 8e-4, 4e-3)), NAMES)
     assert found.is_found, found.findings
     assert len(found.restarts) == 4  # each was simulated, and came back
+    assert [text.get_text() for text in found.plot().axes[0].get_yticklabels()] == list(NAMES)
     assert np.abs((found.values - VALUES) / found.errors).max() < 4.0
     assert (found.errors / VALUES < (0.03, 0.03, 0.003)).all()
     for start in found.starts:  # the starts that no scene has

@@ -104,6 +104,8 @@ def test_a_single_objective_gives_one_buffer_that_no_grid_around_beats(servicer)
     limits = make_limits({"max_axial_stroke_in": 0.015})
     found = design_buffer(servicer, Requirements(FORCE, limits), DAMPER, candidates=150)
     assert len(found.rows) == len(found.front) == 1
+    assert "buffer.c_A" in found._repr_html_()
+    assert len(found.plot().axes) > 1
     best = found.rows[0].candidate
     for factor in np.linspace(0.8, 1.2, 9):
         scene = with_values(servicer, {"buffer.c_A": factor * best.values["buffer.c_A"]})

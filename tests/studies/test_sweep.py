@@ -753,6 +753,17 @@ def test_pictures_fit_what_was_varied(vary, names, tmp_path):
         figure.savefig(tmp_path / f"{name}.png")
 
 
+def test_a_table_is_drawn_as_what_it_is():
+    curve = capture_sim.sweep("tilt_0", {"buffer.c_A": [5, 20]}, {"run.t_end": 3}, executor=HERE)
+    assert len(capture_sim.plot(curve).axes) == 4
+    vary = {"buffer.c_A": "uniform(5, 20)"}
+    drawn = capture_sim.sweep("tilt_0", vary, {"run.t_end": 3}, runs=4, executor=HERE)
+    assert "95 % interval" in capture_sim.plot(drawn).get_suptitle()
+    assert "tilt_0" in capture_sim.load_scene("tilt_0", {"run.t_end": 3}).plot().get_suptitle()
+    with pytest.raises(TypeError, match="must be runs"):
+        capture_sim.plot(pd.DataFrame())
+
+
 def test_saltellis_runs_are_drawn_as_their_indices(tmp_path, capsys):
     vary = ["--vary=buffer.c_A=uniform(5, 20)", "--vary=friction.mu=uniform(0, 0.3)"]
     design = ["--sample=saltelli", "--runs=4", "--set", "run.t_end=3.2", "--workers=1"]

@@ -8,11 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from capture_sim.base.notebook import html_table
+from capture_sim.base.notebook import drawn, html_table
 from capture_sim.dynamics.bench import Bench
 from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.errors import SceneError, SimulationError
@@ -184,6 +184,16 @@ class Calibration:
         """Return the values and whether the fit was found valid, in one line."""
         values = (f"{n} = {v:.6g}" for n, v in zip(self.names, self.values, strict=True))
         return f"Calibration({', '.join(values)}; {self.verdict})"
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure; see :func:`capture_sim.plot`.
+
+        Raises
+        ------
+        MissingPackageError
+            matplotlib is not installed.
+        """
+        return drawn(self)
 
     def _repr_html_(self) -> str:
         """Return the values with their standard errors for a notebook, and the findings."""
