@@ -412,7 +412,9 @@ def fit_foreign(seed: int) -> Foreign | None:
         seed=seed,
         kind=kind,
         size=size,
-        verdict="found" if found.is_found else "; ".join(f.kind for f in found.findings),
+        verdict=found.verdict
+        if found.is_usable
+        else "; ".join(dict.fromkeys(f.kind for f in found.findings)),
         z=(found.values - [true[name] for name in found.names]) / found.errors,
         wider=float(np.median(found.errors / found.noise_errors)),
         named=", ".join(lacking),
@@ -428,7 +430,13 @@ def foreign(asked: argparse.Namespace, _: Path) -> list[str]:
         for one in processes.map(fit_foreign, _seeds(asked)):
             answers.append(one)
             print(one, flush=True)
-    benches = [one for one in answers if one is not None]
+    return table_of([one for one in answers if one is not None])
+
+
+def table_of(benches: Sequence[Foreign]) -> list[str]:
+    """Return the fits of benches of another model as lines of the page."""
+    used = [one for one in benches if one.verdict in ("found", "usable")]
+    most = max((float(np.abs(one.z).max()) for one in used), default=0.0)
     rows = [
         [
             one.seed,
@@ -443,7 +451,12 @@ def foreign(asked: argparse.Namespace, _: Path) -> list[str]:
         for one in benches
     ]
     head = ["seed", "has besides", "size", "the fit says", "largest", "wider", "named", "CPU"]
-    return [table(head, rows)]
+    return [
+        f"{len(used)} of {len(benches)} found or usable, none of their values further from the "
+        f"truth than {most:.1f} errors:",
+        "",
+        table(head, rows),
+    ]
 
 
 def starts(asked: argparse.Namespace, _: Path) -> list[str]:
