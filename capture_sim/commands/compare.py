@@ -163,7 +163,8 @@ def _run(options: argparse.Namespace, shown: Sequence[str | Section]) -> int:
         over = min(options.window, _check_window(*pair, options.window))
         give(lambda: {"bit_identical": is_identical, **_as_data(pair, labels, over)})
     else:
-        _draw(pair, labels, _compare(*pair, labels, options), shown, options)
+        over = _compare(*pair, labels, options)
+        _draw(pair, labels, over, list(shown), options)
     return status
 
 
