@@ -10,7 +10,7 @@ from tests.nodes.bench_client import wait_until
 
 
 def test_a_second_publisher_refuses_and_aborts(start, client, tmp_path):
-    session = Session(start, client, tmp_path, launcher={"start_timeout": 2.0})
+    session = Session(start, client, tmp_path, launcher={"start_timeout": 6.0})
     with session.bench(is_disturbed=False, pace=1.0):
         # a launcher of another bench whose hold is remapped to this one's, in flight
         goal = session.goal(0.0)

