@@ -72,9 +72,9 @@ DESCRIPTION = (
     "the tests of the fit; write a calibrated scene, the covariance and plots."
 )
 FAILS = (
-    "a test fails, with the reasons, and the errors are not enlarged to be usable: searches or "
-    "trials that do not agree, residuals that are not noise, something that the model lacks, a "
-    "value at the end of its range, or a direction without information"
+    "the fit is neither found nor usable, with the reasons: searches or trials that do not agree, "
+    "residuals that are not noise, something that the model lacks, a value at the end of its "
+    "range, or a direction without information"
 )
 GIVES = "what is in calibration.json"
 EXAMPLE = """\

@@ -7,15 +7,13 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import argcomplete
 from argcomplete.completers import FilesCompleter
 
 from capture_sim.commands import COMMANDS
 from capture_sim.scene.files import scene_names
-
-Completer = Callable[..., Iterable[str]]
 
 
 def complete(command_parser: Callable[[str], argparse.ArgumentParser]) -> None:

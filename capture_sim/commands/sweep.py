@@ -627,7 +627,7 @@ def _print_worst(table: pandas.DataFrame, samples: Samples, options: argparse.Na
         echo(f"\nno run touches the cone; smallest {load.key}, with the command that repeats it")
         worst = computed.nsmallest(_WORST, load.key)
     else:
-        echo(f"\nlargest {load.key}, with the command (column command: all runs, to the last bit)")
+        echo(f"\nlargest {load.key}, with a command that repeats it (exact: column command)")
         worst = computed.nlargest(_WORST, load.key)
     labels = outcome_labels(worst)
     for number, row in worst.iterrows():
@@ -640,6 +640,7 @@ def _print_worst(table: pandas.DataFrame, samples: Samples, options: argparse.Na
         for place, word in enumerate(words):
             name, sign, value = word.partition("=")
             with suppress(ValueError):
-                if sign and name in {axis.name for axis in samples.axes}:
+                is_whole = value.lstrip("-").isdigit()  # a seed has more digits
+                if sign and not is_whole and name in {axis.name for axis in samples.axes}:
                     words[place] = f"{name}={_in_typed_unit(samples, name, float(value), 9)}"
         echo(f"{number}: {shown}: {shlex.join(words)}")

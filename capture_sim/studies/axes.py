@@ -40,18 +40,17 @@ class Axis:
         return np.asarray(self.distribution.ppf(np.clip(u, tiny, 1.0 - tiny)))
 
 
-def typed_unit(axis: Axis, default: str = "") -> tuple[str, float]:
+def typed_unit(axis: Axis) -> tuple[str, float]:
     """Return the unit in which an axis was given, and the factor from SI to this unit.
 
-    ``default`` is the unit if the axis was given without one; empty: the SI unit.
+    It is the SI unit if the axis was given without one.
     """
     for text in re.split(r"[,:()]", axis.text):
         with suppress(ValueError):  # the name of a distribution, or a list
             unit = split(text)[1]
             if unit and unit != "%":
                 return unit, 1.0 / in_si(f"1 {unit}", axis.unit)
-    unit = default or axis.unit
-    return unit, 1.0 / in_si(f"1 {unit}", axis.unit) if default else 1.0
+    return axis.unit, 1.0
 
 
 def declaration_of(scene: Scene, name: str) -> Declared:

@@ -72,7 +72,8 @@ def plot(*runs: Any, labels: Sequence[str] | None = None) -> Figure:
     TypeError
         An argument is no run, e.g. a list of runs or the name of a scene.
     ValueError
-        There is no run, or several runs have another number of labels.
+        There is no run, no run of a sweep could be computed, or several runs have another number
+        of labels.
 
     Examples
     --------
@@ -97,6 +98,8 @@ def plot(*runs: Any, labels: Sequence[str] | None = None) -> Figure:
 
 def _of_study(what: Any) -> Figure | None:
     """Return the main figure of a scene or the result of a study; None of anything else."""
+    if isinstance(what, Run):
+        return None  # before the studies are loaded
     from capture_sim.studies.calibration.calibrate import Calibration
     from capture_sim.studies.design import Design
     from capture_sim.viewing.calibration import draw_calibration
@@ -109,7 +112,9 @@ def _of_study(what: Any) -> Figure | None:
         return draw_design(what, what.knee if what.rows else None)
     if isinstance(what, Calibration):
         return draw_calibration(what)["values"]
-    return draw_table(what) if "inputs" in getattr(what, "attrs", {}) else None
+    inputs = getattr(what, "attrs", {}).get("inputs")
+    is_table = inputs is not None and {*inputs, "max_normal_force"} <= {*what.columns}
+    return draw_table(what) if is_table else None
 
 
 def draw_run(run: Run, label: str | None = None) -> Figure:

@@ -73,8 +73,11 @@ def _load(name: str) -> _Shown:
 
 
 def _input(axis: Axis) -> _Shown:
-    unit, factor = typed_unit(axis, {"m": "mm", "rad": "deg"}.get(axis.unit, ""))
-    return _Shown(axis.name, "" if unit == "1" else unit, factor)
+    unit, factor = typed_unit(axis)
+    if unit == axis.unit:
+        usual = {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0)), "1": ("", 1.0)}
+        unit, factor = usual.get(unit, (unit, 1.0))
+    return _Shown(axis.name, unit, factor)
 
 
 def draw_sweep(
@@ -129,15 +132,16 @@ def draw_sweep(
     return figures
 
 
-def draw_table(table: pandas.DataFrame) -> Figure | None:
-    """Return the main figure of the table of a sweep; None if every run failed."""
+def draw_table(table: pandas.DataFrame) -> Figure:
+    """Return the main figure of the table of a sweep; ValueError if every run failed."""
     units, axes = table.attrs["units"], []
     for name, text in table.attrs["inputs"].items():
         is_drawn = "(" in text  # as a distribution is given
         values = () if is_drawn else tuple(table[name].unique())
         axes.append(Axis(name, units[name], values, is_drawn or None, text))
-    figures = draw_sweep(table, axes, table.attrs["scene"])
-    return next(iter(figures.values()), None)
+    if not (figures := draw_sweep(table, axes, table.attrs["scene"])):
+        raise ValueError("nothing to plot: no run of the sweep could be computed")
+    return next(iter(figures.values()))
 
 
 def draw_curve(table: pandas.DataFrame, axis: Axis, title: str, limits: Sequence[Limit]) -> Figure:

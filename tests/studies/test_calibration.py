@@ -23,6 +23,7 @@ from capture_sim.studies.calibration.calibrate import (
     _fit_with,
     calibrate,
     lacking_text,
+    predicted,
 )
 from capture_sim.studies.calibration.candidates import FIELDS, Score, possible
 from capture_sim.studies.calibration.checks import clustered, convergence, direction_words
@@ -506,6 +507,26 @@ def test_a_fit_with_a_small_wave_in_its_residuals_is_usable_with_larger_errors()
     assert as_data(found, {})["verdict"] == "usable"
     assert (found.errors > found.noise_errors).all()
     assert np.abs((found.values - VALUES) / found.errors).max() < 4.0
+
+
+SMALL_FAULTS = {
+    "scale": lambda: two_trials(scales={"stroke": 1.003}),
+    "friction": lambda: two_trials(true={**TRUE, "buffer.friction": 0.004}),
+    "rebound": lambda: two_trials(true={**TRUE, "buffer.c_A_rebound": 13.15}),
+    "wave": lambda: trials_with_a_wave(0.6),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("fault", SMALL_FAULTS)
+def test_values_of_a_usable_fit_are_within_its_errors(fault):
+    found = calibrate(SMALL_FAULTS[fault](), NAMES, restarts=0)
+    assert found.verdict == "usable", found.findings
+    assert np.abs((found.values - VALUES) / found.errors).max() < 4.0
+    # what is predicted of another trial has these errors, not those of independent noise
+    spread = predicted(found, short_scene(-0.1)).figures[0].error
+    exact = dataclasses.replace(found, findings=())
+    assert spread > predicted(exact, short_scene(-0.1)).figures[0].error
 
 
 def test_clusters_of_residuals_widen_errors_by_what_they_share():
