@@ -22,3 +22,13 @@ def check_names(waived: Collection[str]) -> None:
     if unknown:
         names = ", ".join(rule.name for rule in in_order())
         raise SceneError(f"rule {unknown[0]!r}: not found; rules: {names}")
+
+
+def rules_among(waived: Collection[str]) -> tuple[str, ...]:
+    """Return which rules of plausibility a trial waives, of all names that its laboratory gave.
+
+    Who waives ``machine_clock`` has a clock of any rate, also of one that varies: that it was set
+    is then not told from that.
+    """
+    implied = ["clock_steps"] if "machine_clock" in waived else []
+    return tuple(name for name in RULES if name in {*waived, *implied})

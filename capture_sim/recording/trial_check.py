@@ -16,7 +16,8 @@ import numpy as np
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.measurements import OF_A_BENCH
 from capture_sim.messages.topics import CAPTURE_STATUS, LOAD_CELL
-from capture_sim.plausibility.rules import RULES, Grade
+from capture_sim.plausibility.check import rules_among
+from capture_sim.plausibility.rules import Grade
 from capture_sim.recording.bag import Bag, read_bag
 from capture_sim.recording.clock import stamps_of
 from capture_sim.recording.read import run_of
@@ -43,7 +44,7 @@ def trial_problems(path: Path) -> list[str]:
         bag = read_bag(path)
         run = run_of(bag)
         waived = () if bag.announced is None else bag.announced.waived
-        run = run.replaced(waived=tuple(name for name in waived if name in RULES))
+        run = run.replaced(waived=rules_among(waived))
         grave = [d for d in run.doubts if d.grade is Grade.REFUSED or d.leaves_out_topic]
         lines = [*bag.damage, *_gaps(bag), *(doubt.line for doubt in grave)]
         is_refused = any(doubt.grade is Grade.REFUSED for doubt in grave)

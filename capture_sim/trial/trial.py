@@ -169,8 +169,8 @@ class Trial:
 
     @property
     def waived(self) -> tuple[str, ...]:
-        """Names of the release rules that the laboratory waives; empty without an actuator."""
-        return tuple(sorted(self._interlocks.waived)) if self._has_actuator else ()
+        """Names of the rules that the laboratory waives."""
+        return tuple(sorted(self._interlocks.waived))
 
     @property
     def holds(self) -> bool:

@@ -247,10 +247,11 @@ def test_by_hand_with_poses_that_begin_late(start, client, tmp_path):
             hold.publish(Bool(data=False))
             session.wait(0.3)
         status, result = goal.result()
-    assert (status, result.verdict) == (SUCCEEDED, "captured")
+    assert (status, result.verdict) == (SUCCEEDED, "captured"), session.launcher.text
     assert "aborted" not in session.launcher.text
     assert math.isnan(result.impact_speed)
     assert result.recording == str(tmp_path / "by_hand.mcap")
+    assert read_bag(result.recording).announced.waived == ("machine_clock", "start")
 
 
 # goals

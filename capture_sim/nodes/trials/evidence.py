@@ -9,9 +9,10 @@ from itertools import takewhile
 from pathlib import Path
 
 from capture_sim.messages.topics import Topic
+from capture_sim.plausibility.check import rules_among
 from capture_sim.plausibility.measured import Measured
 from capture_sim.plausibility.motion import MeasuredMotion
-from capture_sim.plausibility.rules import RULES, Doubt, Grade
+from capture_sim.plausibility.rules import Doubt, Grade
 from capture_sim.recording.bag import Bag
 from capture_sim.recording.contents import Contents
 from capture_sim.recording.evidence import evidence_in
@@ -48,7 +49,7 @@ class Evidence:
     """
 
     def __init__(self, waived: Collection[str]) -> None:
-        self._waived = [name for name in waived if name in RULES]
+        self._waived = rules_among(waived)
         self._kept: dict[str, _Kept] = {}
         self._begun = 0  # ns, arrival from which on a trial counts
 
