@@ -9,8 +9,8 @@ from typing import Any
 
 from capture_sim.base.compiled.kernels import plain
 from capture_sim.errors import SceneError
-from capture_sim.scene.launch_motion import coasting_acceleration, speed_after
-from capture_sim.scene.launch_plan import plan_launch, resistance, travel_to_touch
+from capture_sim.scene.launch_motion import speed_after
+from capture_sim.scene.launch_plan import coasting, plan_launch, travel_to_touch
 from capture_sim.scene.parts import Cone, Initial, PlanarState, Scene
 from capture_sim.scene.quantities import Checked, Range, accept, declared, quantity, replaced
 
@@ -132,7 +132,6 @@ def placed(scene: Scene, approach: Approach, run_up: float = RUN_UP) -> Scene:
         travel = far - scene.buffer.hinge_offset - scene.rest_length - scene.cone.L_T
         travel -= scene.cone.L_c + scene.cone.R_c + scene.probe.tip_radius
     distance = max(travel - run_up, 0.0)
-    coasting = plain(coasting_acceleration)(resistance(scene), scene.chaser_total_mass)
-    start = plain(speed_after)(speed, coasting, -run_up)
+    start = plain(speed_after)(speed, *coasting(scene), -run_up)
     chaser = PlanarState(x + distance * c, y + distance * s, heading, start * c, start * s)
     return replaced(scene, {"initial": Initial(chaser, turned)})  # type: ignore[no-any-return]

@@ -2,16 +2,19 @@
 
 The string pulls the chaser with the acceleration a until the mass has sunk by its drop height H.
 Then the chaser coasts, with the deceleration a_c, to the first touch, at the distance D from its
-release.  :mod:`capture_sim.scene.launch_motion` has both accelerations.  Energy gives
+release.  :mod:`capture_sim.scene.launch_motion` has both motions.  Energy gives
 
     v_impact^2 = 2 a H - 2 a_c (D - H)
 
-which is solved for the drop height H or, through a, for the mass.
+which is solved for the drop height H or, through a, for the mass.  A chaser with drag needs more of
+both, found by Brent's method.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from capture_sim.base.compiled.kernels import plain
@@ -22,12 +25,15 @@ from capture_sim.scene.launch_motion import (
     coasting_acceleration,
     pulled_acceleration,
     speed_after,
-    time_between,
+    time_after,
 )
 from capture_sim.scene.parts import Scene
 
 _pulled, _coasting = plain(pulled_acceleration), plain(coasting_acceleration)
-_speed_after, _time_between = plain(speed_after), plain(time_between)
+_speed_after, _time_after = plain(speed_after), plain(time_after)
+
+#: A mass on the string is lighter, kg.
+_HEAVIEST = 1e9
 
 
 class LaunchPlan(NamedTuple):
@@ -62,6 +68,10 @@ TIP_AT_RELEASE = (
     *("initial.chaser.x", "initial.chaser.y", "initial.chaser.theta", "initial.target"),
     *("buffer.hinge_offset", "buffer.rest_length", "probe"),
 )
+
+
+#: Fields that the resistance to the chaser's straight motion depends on.
+RESISTANCE = ("chaser", "cylinder", "probe", "floor", "supports", "gravity")
 
 
 @depends_on(*TIP_AT_RELEASE)
@@ -112,29 +122,48 @@ def _miss(scene: Scene) -> str:
     return "misses the cone"
 
 
+def pull_along(scene: Scene) -> float:
+    """Return the force of a tilted floor and of a cable on the chaser along its heading, N."""
+    heading, (x, y), mass = scene.initial.chaser.theta, scene.pull, scene.chaser_total_mass
+    x, y = mass * x + scene.chaser.cable_x, mass * y + scene.chaser.cable_y
+    return x * math.cos(heading) + y * math.sin(heading)
+
+
 def resistance(scene: Scene) -> float:
     """Return the resistance to the chaser's straight motion along its heading, N.
 
-    It is its rolling resistance, less the pull of a floor that descends ahead of it.
+    It is its rolling resistance, less the pull of a cable and of a floor that descends ahead.
     """
-    heading, (x, y) = scene.initial.chaser.theta, scene.pull
-    force = -scene.chaser_total_mass * (x * math.cos(heading) + y * math.sin(heading))
+    force = -pull_along(scene)
     if scene.supports is not None:
         force += scene.supports.chaser.c_rr * scene.chaser_total_mass * scene.gravity
     return force
 
 
+def coasting(scene: Scene) -> tuple[float, float]:
+    """Return acceleration (m/s^2) and damping (1/s) of a chaser that coasts."""
+    mass = scene.chaser_total_mass
+    return _coasting(resistance(scene), mass), scene.chaser.drag / mass
+
+
+def _sink(scene: Scene, hanging_mass: float) -> tuple[float, float]:
+    """Return acceleration (m/s^2) and damping (1/s) of a chaser that a mass (kg) pulls."""
+    assert scene.string is not None
+    string, mass = scene.string, scene.chaser_total_mass
+    pulley = string.pulley_inertia / string.pulley_radius**2
+    acceleration = _pulled(hanging_mass, scene.gravity, resistance(scene), mass, pulley)
+    return acceleration, scene.chaser.drag / (mass + hanging_mass + pulley)
+
+
 def expected_speed(scene: Scene, plan: LaunchPlan, travel: float) -> float:
     """Return the speed (m/s) that the chaser should have after a travel (m) from the release.
 
-    It is that before the first touch.  It is computed from the energy, not from the time since the
+    It is that before the first touch.  It is computed from the travel, not from the time since the
     release, which a real bench does not know exactly.
     """
-    landing, height = plan.landing_speed, plan.drop_height
-    if height > 0.0 and travel < height:
-        return landing * math.sqrt(max(travel, 0.0) / height)
-    coasting = _coasting(resistance(scene), scene.chaser_total_mass)
-    return _speed_after(landing, coasting, travel - height)
+    if plan.hanging_mass > 0.0 and travel < plan.drop_height:
+        return _speed_after(0.0, *_sink(scene, plan.hanging_mass), max(travel, 0.0))
+    return _speed_after(plan.landing_speed, *coasting(scene), travel - plan.drop_height)
 
 
 def expected_time(scene: Scene, plan: LaunchPlan, travel: float) -> float:
@@ -142,33 +171,41 @@ def expected_time(scene: Scene, plan: LaunchPlan, travel: float) -> float:
 
     It is that before the first touch.  The result is ``inf`` if the chaser does not come so far.
     """
-    landing, height = plan.landing_speed, plan.drop_height
-    if landing == 0.0:
+    if plan.landing_speed == 0.0:
         return math.inf
-    if height > 0.0 and travel < height:
-        return plan.landing_time * math.sqrt(max(travel, 0.0) / height)
-    speed = expected_speed(scene, plan, travel)
-    if speed == 0.0:
-        return math.inf
-    return plan.landing_time + _time_between(landing, speed, travel - height)
+    if plan.hanging_mass > 0.0 and travel < plan.drop_height:
+        return _time_after(0.0, *_sink(scene, plan.hanging_mass), max(travel, 0.0))
+    coasted = _time_after(plan.landing_speed, *coasting(scene), travel - plan.drop_height)
+    return plan.landing_time + coasted
 
 
-def _unlaunched(scene: Scene) -> LaunchPlan:
-    """Return the plan of a scene without string, whose chaser has its speed at the release."""
-    i = scene.initial.chaser
-    speed = math.hypot(i.vx, i.vy)
-    travel = travel_to_touch(scene)
+def _launched(scene: Scene, mass: float, height: float, travel: float) -> LaunchPlan:
+    """Return the launch by a hanging mass (kg) from a height (m); 0 and 0 without a string."""
+    if scene.string is None:
+        landing, landing_time = math.hypot(scene.initial.chaser.vx, scene.initial.chaser.vy), 0.0
+    else:
+        sink = _sink(scene, mass)
+        landing, landing_time = (f(0.0, *sink, height) for f in (_speed_after, _time_after))
     impact, contact = 0.0, math.inf
-    if speed > 0.0 and math.isfinite(travel):
-        coasting = _coasting(resistance(scene), scene.chaser_total_mass)
-        impact = _speed_after(speed, coasting, travel)
-    if impact > 0.0:
-        contact = _time_between(speed, impact, travel)
-    return LaunchPlan(0.0, 0.0, impact, speed, 0.0, contact, travel)
+    if landing > 0.0 and math.isfinite(travel):
+        impact, coasted = (
+            f(landing, *coasting(scene), travel - height) for f in (_speed_after, _time_after)
+        )
+        contact = landing_time + coasted
+    return LaunchPlan(mass, height, impact, landing, landing_time, contact, travel)
+
+
+def _solved(impact: Callable[[float], float], speed: float, low: float, high: float) -> float:
+    """Return the argument between two others that gives an impact speed (m/s), which rises."""
+    from scipy.optimize import brentq  # slow to load, and hardly ever needed
+
+    if impact(low) >= speed:  # a drag that changes the last digits
+        return low
+    return float(brentq(lambda x: impact(x) - speed, low, high, xtol=1e-15, rtol=1e-15))
 
 
 def plan_launch(scene: Scene) -> LaunchPlan:
-    """Compute the plan of a scene's launch, in closed form.
+    """Compute the plan of a scene's launch, in closed form if the chaser has no drag.
 
     The scene gives two of ``string.impact_speed``, ``string.hanging_mass`` and
     ``string.drop_height``; the third is computed from them.  A scene without string has only an
@@ -182,55 +219,61 @@ def plan_launch(scene: Scene) -> LaunchPlan:
         rolling resistance or would not land on the rail, or no mass gives the wanted speed from
         this height; the message names the limit.
     """
+    travel = travel_to_touch(scene)
     if scene.string is None:
-        return _unlaunched(scene)
+        return _launched(scene, 0.0, 0.0, travel)
     string, g = scene.string, scene.gravity
     m = scene.chaser_total_mass
     friction = resistance(scene)
     pulley = string.pulley_inertia / string.pulley_radius**2
-    travel = travel_to_touch(scene)
     if not math.isfinite(travel):
         raise SceneError(
             f"string.impact_speed: the chaser's straight path {_miss(scene)}, so no speed of the "
             "launch gives an impact"
         )
-    coast = -_coasting(friction, m)
+    assert scene.rail is not None
+    coast, longest, is_damped = -coasting(scene)[0], scene.rail.length, scene.chaser.drag > 0.0
     v, mass, height = string.impact_speed, string.hanging_mass, string.drop_height
 
-    def acceleration(mass: float) -> float:
-        return _pulled(mass, g, friction, m, pulley)
+    def impact_of(mass: float, height: float) -> float:
+        return _launched(scene, mass, height, travel).impact_speed
 
-    if mass is not None and acceleration(mass) <= 0.0:
+    if mass is not None and _sink(scene, mass)[0] <= 0.0:
         raise SceneError(
             f"string.hanging_mass = {mass!r} kg: must be > {friction / g:.6g}, "
-            "the mass that overcomes rolling resistance and the floor's tilt"
+            "the mass that overcomes rolling resistance, the floor's tilt and the cable"
         )
     if height is None:
         assert v is not None
         assert mass is not None
-        height = (v * v + 2.0 * coast * travel) / (2.0 * (acceleration(mass) + coast))
-    assert scene.rail is not None
-    if height > scene.rail.length:
+        height = (v * v + 2.0 * coast * travel) / (2.0 * (_sink(scene, mass)[0] + coast))
+        if is_damped and height <= longest:
+            fastest = impact_of(mass, longest)
+            if fastest < v:
+                raise SceneError(
+                    f"string.impact_speed = {v!r} m/s: must be <= {fastest:.6g}, what this mass "
+                    "gives if it lands where the rail ends"
+                )
+            height = _solved(partial(impact_of, mass), v, height, longest)
+    if height > longest:
         raise SceneError(
-            f"string.drop_height = {height!r} m: must be <= {scene.rail.length:g}, "
+            f"string.drop_height = {height!r} m: must be <= {longest:g}, "
             "rail.length: the mass must land before the rail ends"
         )
     if mass is None:
         assert v is not None
         # height is at most the travel, so a > 0 whenever v > 0
         a = (v * v + 2.0 * coast * (travel - height)) / (2.0 * height)
-        if a >= g:
+        mass = (a * (m + pulley) + friction) / (g - a) if a < g else math.inf
+        heaviest = mass
+        while is_damped and heaviest < _HEAVIEST and impact_of(heaviest, height) < v:
+            heaviest *= 2.0
+        if heaviest >= _HEAVIEST:
             raise SceneError(
                 f"string.drop_height = {height!r} m: must be > "
                 f"{(v * v + 2.0 * coast * travel) / (2.0 * (g + coast)):.6g}, "
                 f"the least that gives {v!r} m/s in free fall"
             )
-        mass = (a * (m + pulley) + friction) / (g - a)
-    a = acceleration(mass)
-    landing = _speed_after(0.0, a, height)
-    impact = _speed_after(landing, -coast, travel - height)
-    landing_time = _time_between(0.0, landing, height)
-    contact = math.inf
-    if impact > 0.0:
-        contact = landing_time + _time_between(landing, impact, travel - height)
-    return LaunchPlan(mass, height, impact, landing, landing_time, contact, travel)
+        if is_damped:
+            mass = _solved(lambda mass: impact_of(mass, height), v, mass, heaviest)
+    return _launched(scene, mass, height, travel)

@@ -37,9 +37,11 @@ from capture_sim.scene.files import (
 )
 from capture_sim.scene.geometry import nearest_on_wall
 from capture_sim.scene.launch_plan import (
+    RESISTANCE,
     TIP_AT_RELEASE,
     LaunchPlan,
     plan_launch,
+    pull_along,
     tip_at_release,
     travel_to_touch,
 )
@@ -443,7 +445,7 @@ def _supports(scene: Scene) -> None:
             raise refuse(f"supports.{vehicle}.balls", balls, "m", allowed)
 
 
-@depends_on(*TIP_AT_RELEASE, "initial", "cone", "rail", "floor", "supports", "gravity")
+@depends_on(*TIP_AT_RELEASE, "initial", "cone", "rail", *RESISTANCE)
 def _rail(scene: Scene) -> None:
     if scene.rail is None:
         return
@@ -461,14 +463,15 @@ def _rail(scene: Scene) -> None:
         value = getattr(target, name)
         if value != 0.0:
             raise refuse(f"initial.target.{name}", value, unit, "0 while the scene has a rail")
-    limit = 0.0
-    along = abs(scene.pull[0] * math.cos(chaser.theta) + scene.pull[1] * math.sin(chaser.theta))
+    limit, along = 0.0, pull_along(scene)
     if scene.supports is not None:
-        limit = scene.supports.chaser.c_rr * scene.gravity
-    if along > limit:
+        limit = scene.supports.chaser.c_rr * scene.gravity * scene.chaser_total_mass
+    if abs(along) > limit:
+        floor, body = scene.floor, scene.chaser
         raise SceneError(
-            f"floor.tilt_x, tilt_y = {scene.floor.tilt_x!r}, {scene.floor.tilt_y!r} rad: must be, "
-            f"along the rail, <= {limit / scene.gravity:.6g}, where the chaser rolls by itself"
+            f"floor.tilt_x, tilt_y = {floor.tilt_x!r}, {floor.tilt_y!r} rad, chaser.cable_x, "
+            f"cable_y = {body.cable_x!r}, {body.cable_y!r} N: pull with {abs(along):.6g} N along "
+            f"the rail: must be <= {limit:.6g}, where the chaser rolls by itself"
         )
     travel, length = travel_to_touch(scene), scene.rail.length
     if length >= travel:

@@ -24,6 +24,7 @@ from capture_sim.base.notebook import drawn, html_table
 from capture_sim.errors import SceneError
 from capture_sim.scene.laws import CONTACT_LAWS, FRICTION_LAWS
 from capture_sim.scene.quantities import (
+    ANY,
     NOT_NEGATIVE,
     POSITIVE,
     Checked,
@@ -53,6 +54,21 @@ class Vehicle(Checked):
     inertia: float = quantity(
         "kg m^2", POSITIVE, doc="moment of inertia about the centre of mass, I_S or I_T"
     )
+    drag: float = quantity(
+        "N s/m",
+        NOT_NEGATIVE,
+        default=0.0,
+        doc="force against the body's velocity over its speed, e.g. of the air",
+    )
+    cable_x: float = quantity(
+        "N", ANY, default=0.0, doc="constant force on the body along x, e.g. of a cable"
+    )
+    cable_y: float = quantity("N", ANY, default=0.0, doc="constant force along y")
+
+    @property
+    def besides(self) -> tuple[float, float, float]:
+        """Drag (N s/m) and constant force (x, y; N)."""
+        return self.drag, self.cable_x, self.cable_y
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     "e": ("contact.restitution",),
     "mu": ("friction.mu",),
     "c_A": ("buffer.c_A",),
+    "drag": ("chaser.drag", "target.drag"),
 }
 #: Parts of a scene that describe simulation, detection and measurement, not the bench.
 NO_PHYSICS = ("run", "detector", "sensors")
@@ -153,4 +154,4 @@ def usual_size(name: str) -> float:
     """
     sizes = {"c_rr": 1e-3, "e": 0.5, "mu": 0.3, "c_A": 10.0}
     sizes |= {"floor.tilt_x": 1e-3, "floor.tilt_y": 1e-3}
-    return sizes.get(name, 1.0)
+    return 0.1 if name.endswith(("drag", "cable_x", "cable_y")) else sizes.get(name, 1.0)

@@ -41,7 +41,8 @@ SUCCEEDED, CANCELED, ABORTED = (
 #: A busy machine is no dead camera, and no absent node.
 PATIENT = {"max_pose_age": 10.0, "max_buffer_age": 10.0, "max_hold_silence": 10.0}
 #: A trial waits this long, s; after all three it has a result, which names what it has waited for.
-WAITS = {"start_timeout": 30.0, "time_limit": 120.0, "closing_timeout": 60.0}
+#: A refusal is read in the feedback (:meth:`Goal.refusal`), however long a busy machine takes.
+WAITS = {"start_timeout": 600.0, "time_limit": 120.0, "closing_timeout": 60.0}
 PATIENT |= WAITS
 
 
@@ -83,6 +84,20 @@ class Goal:
             f"never in phase {phase}",
             lambda: len(self.feedback),
         )
+
+    def refusal(self, *words):
+        """Wait until the launcher says all of these words, for it does not let go; then cancel."""
+
+        def is_said():
+            said = self.feedback[-1].waiting_for if self.feedback else ""
+            return self.is_over or all(each in said for each in words)
+
+        said = lambda: f"{words} is not in {[f.waiting_for for f in self.feedback[-1:]]}"  # noqa: E731
+        wait_until(is_said, said, lambda: len(self.feedback))
+        assert not self.is_over, self.result()
+        self.cancel()
+        status, result = self.result()
+        assert (status, result.verdict) == (CANCELED, ""), result.reason
 
     def cancel(self):
         answer = asked(self._actions, self._handle.cancel_goal_async)

@@ -14,18 +14,27 @@ from capture_sim.dynamics.samples import EventKind
 from capture_sim.scene.launch_motion import (
     coasting_acceleration,
     pulled_acceleration,
-    speed_after,
-    time_between,
+    speed_at,
+    stop_time,
+    time_after,
 )
 
 
 @kernel
+def moving_mass(w):
+    """Return the mass that moves with the chaser on the rail, kg."""
+    par = w.system.par
+    return par.m_total + (par.m_hanging + par.pulley_mass if w.rail.taut else 0.0)
+
+
+@kernel
 def plan_rail(w):
-    """Plan a segment on the rail: constant acceleration until the next event."""
+    """Plan a segment on the rail, of constant forces and drag, until the next event."""
     step, rail, event, par = w.step, w.rail, w.event, w.system.par
     step.segment = Segment.RAIL
     event.kind = NO_EVENT
     next_event = EventKind.LANDED if rail.taut else EventKind.RAIL_END
+    rail.damping = par.drag_S / moving_mass(w)
     if rail.taut:
         rail.acceleration = pulled_acceleration(
             par.m_hanging, par.gravity, par.rail_resistance, par.m_total, par.pulley_mass
@@ -39,16 +48,16 @@ def plan_rail(w):
             rail.acceleration = coasting_acceleration(par.rail_resistance, par.m_total)
         goal = par.rail_length - rail.travel
     step.t1 = math.inf
-    speed_at_goal = speed_after(rail.speed, rail.acceleration, goal)
+    lasts = time_after(rail.speed, rail.acceleration, rail.damping, goal)
     if goal <= 0.0:
         step.t1 = step.t0
         event.kind = next_event
-    elif speed_at_goal > 0.0:
-        step.t1 = step.t0 + time_between(rail.speed, speed_at_goal, goal)
+    elif lasts < math.inf:
+        step.t1 = step.t0 + lasts
         event.kind = next_event
     elif rail.acceleration < 0.0:
         # comes to rest on the rail before the goal
-        step.t1 = step.t0 - rail.speed / rail.acceleration
+        step.t1 = step.t0 + stop_time(rail.speed, rail.acceleration, rail.damping)
         event.kind = EventKind.AT_REST
     if step.t1 > w.progress.t_stop:
         step.t1 = w.progress.t_stop
@@ -60,7 +69,7 @@ def rail_state(w, t, y_t):
     """Write the state on the rail at ``t`` (s) into ``y_t``: the buffer rides along at rest."""
     rail, par, y = w.rail, w.system.par, w.stepper.y
     along = rail_travel(w, t)
-    speed = rail.speed + rail.acceleration * (t - w.step.t0)
+    speed = speed_at(rail.speed, rail.acceleration, rail.damping, t - w.step.t0)
     for i in range(N_TOTAL):
         y_t[i] = y[i]
     y_t[0] = y[0] + along * par.rail_x
@@ -68,6 +77,9 @@ def rail_state(w, t, y_t):
     y_t[8] = speed * par.rail_x
     y_t[9] = speed * par.rail_y
     y_t[ROLLING] = y[ROLLING] + (par.rolling_limit_S * along if speed > 0.0 or along > 0.0 else 0.0)
+    if rail.damping > 0.0:  # what the constant forces do, and no body has
+        gained = 0.5 * (speed - rail.speed) * (speed + rail.speed)
+        y_t[ROLLING] += moving_mass(w) * (rail.acceleration * along - gained)
 
 
 @kernel
@@ -80,7 +92,7 @@ def close_rail(w):
     rail_state(w, t, y_t)
     watch_rail(w, y_t)
     rail.travel += rail_travel(w, t)
-    rail.speed += rail.acceleration * (t - step.t0)
+    rail.speed = speed_at(rail.speed, rail.acceleration, rail.damping, t - step.t0)
     for i in range(N_TOTAL):
         y[i] = y_t[i]
     step.t0 = t

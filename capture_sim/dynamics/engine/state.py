@@ -101,7 +101,8 @@ RAIL = np.dtype(
         ("taut", "i8"),
         ("travel", "f8"),  # at t0, m
         ("speed", "f8"),  # at t0, m/s
-        ("acceleration", "f8"),
+        ("acceleration", "f8"),  # without drag
+        ("damping", "f8"),  # drag over the moving mass, 1/s
     ],
     align=True,
 )

@@ -368,7 +368,7 @@ def accelerate(y, f, system):
     R_w = f_w - m_CP * w2 * sD - coriolis
     pull_u = 0.0
     pull_w = 0.0
-    if par.is_tilted:
+    if par.is_pulled:
         pull_u = par.pull_x * cP + par.pull_y * sP
         pull_w = par.pull_y * cP - par.pull_x * sP
         R_u += m_CP * pull_u
@@ -376,7 +376,7 @@ def accelerate(y, f, system):
     R_S = a * (sD * R_u + cD * R_w) - torque
     R_P = h * f_w + tip + torque - moment * w2 * sD - coriolis * r
     R_h = f_u + axial + m_P * (w2 * cD + r * s2)
-    if par.is_tilted:
+    if par.is_pulled:
         R_P += moment * pull_w
         R_h += m_P * pull_u
     if mode.held:
@@ -387,11 +387,17 @@ def accelerate(y, f, system):
     reduced_u = R_u - R_h
     reduced_w = R_w - ratio * R_P
     reduced_S = R_S - a * (cD * ratio * R_P + sD * R_h)
-    if par.is_tilted:
+    if par.is_pulled:
         reduced_u += par.m_S * pull_u
         reduced_w += par.m_S * pull_w
-        gx -= par.m_T * par.pull_x
-        gy -= par.m_T * par.pull_y
+        gx -= par.m_T * par.pull_x + par.cable_T[0] - par.drag_T * y[13]
+        gy -= par.m_T * par.pull_y + par.cable_T[1] - par.drag_T * y[14]
+        fx = par.cable_S[0] - par.drag_S * y[8]
+        fy = par.cable_S[1] - par.drag_S * y[9]
+        reduced_u += fx * cP + fy * sP
+        reduced_w += fy * cP - fx * sP
+        out.rolling += par.drag_S * (y[8] * y[8] + y[9] * y[9])
+        out.rolling += par.drag_T * (y[13] * y[13] + y[14] * y[14])
     if mode.thrusting:
         tx, ty = turned(mode.thrust[0], mode.thrust[1], sS, cS)
         reduced_u += tx * cP + ty * sP

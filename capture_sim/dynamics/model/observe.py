@@ -27,6 +27,7 @@ from capture_sim.dynamics.model.equations import (
 )
 from capture_sim.dynamics.model.trig import sine_cosine
 from capture_sim.dynamics.samples import Phase
+from capture_sim.scene.launch_motion import distance_at
 
 
 @kernel
@@ -53,16 +54,18 @@ def kinetic_energy(y, par):
 
 @kernel
 def floor_work(y, par):
-    """Return the work of gravity along the floor on vehicles and buffer since q = 0, J."""
-    if not par.is_tilted:
+    """Return the work of gravity along the floor, and of cables, since q = 0, J."""
+    if not par.is_pulled:
         return 0.0
+    cables = par.cable_S[0] * y[0] + par.cable_S[1] * y[1]
+    cables += par.cable_T[0] * y[5] + par.cable_T[1] * y[6]
     sS, cS = sine_cosine(y[2])
     sP, cP = sine_cosine(y[3])
     beyond = (par.m_C + par.m_P) * par.a  # cylinder and probe at the hinge
     moment = par.first_moment_0 + par.m_P * y[4]
     x = par.m_total * y[0] + beyond * cS + moment * cP + par.m_T * y[5]
     y_ = par.m_total * y[1] + beyond * sS + moment * sP + par.m_T * y[6]
-    return par.pull_x * x + par.pull_y * y_
+    return par.pull_x * x + par.pull_y * y_ + cables
 
 
 @kernel
@@ -162,9 +165,8 @@ def observe(t, y, w, sample):
         travel = rail.travel + rail_travel(w, t)
         sample.mass_height = par.drop_height - travel
         sample.mass_speed = speed
-        sample.string_tension = (
-            par.m_hanging * (par.gravity - rail.acceleration) - par.pulley_mass * rail.acceleration
-        )
+        sinking = rail.acceleration - rail.damping * speed
+        sample.string_tension = par.m_hanging * (par.gravity - sinking) - par.pulley_mass * sinking
     sample.kinetic = kinetic
     sample.elastic_axial, sample.elastic_torsion = buffer_energy(stroke, torsion, par)
     for i in range(6):
@@ -195,4 +197,4 @@ def observe(t, y, w, sample):
 def rail_travel(w, t):
     """Return the chaser's travel along the rail within the present segment, m."""
     rail, tau = w.rail, t - w.step.t0
-    return rail.speed * tau + 0.5 * rail.acceleration * tau * tau
+    return distance_at(rail.speed, rail.acceleration, rail.damping, tau)

@@ -16,6 +16,7 @@ from capture_sim.dynamics.model.force_table import FORCE_TABLE, force_table
 from capture_sim.dynamics.model.supports import BALLS, ball_rows
 from capture_sim.scene.ball_loads import LOADS, loads
 from capture_sim.scene.cache import depends_on
+from capture_sim.scene.launch_plan import resistance
 from capture_sim.scene.laws import HYSTERESIS_FACTOR, FrictionLaw
 from capture_sim.scene.parts import Scene
 
@@ -88,10 +89,14 @@ PARAMETERS = np.dtype(
         ("pulley_mass", "f8"),  # I_p / r^2
         ("drop_height", "f8"),
         ("gravity", "f8"),
-        ("is_tilted", "i8"),
+        ("is_pulled", "i8"),  # or a vehicle is pulled by a cable, or has drag
         ("pull_x", "f8"),  # acceleration of gravity along the floor, m/s^2
         ("pull_y", "f8"),
-        ("rail_resistance", "f8"),  # to the chaser's motion on the rail, with the pull, N
+        ("cable_S", "f8", (2,)),  # force on the chaser, x and y, N
+        ("cable_T", "f8", (2,)),
+        ("drag_S", "f8"),  # N s/m
+        ("drag_T", "f8"),
+        ("rail_resistance", "f8"),  # to the chaser's motion on the rail, with the pulls, N
         ("t_end", "f8"),
         ("after_latch", "f8"),  # inf: run to t_end
         ("rtol", "f8"),
@@ -251,10 +256,12 @@ def pack(
         p.update(group(scene))
     p["gravity"] = scene.gravity
     p["rail_resistance"] = p["rolling_limit_S"]
-    if scene.floor.tilt_x or scene.floor.tilt_y:
-        p["is_tilted"], (p["pull_x"], p["pull_y"]) = 1, scene.pull
-        along = p["pull_x"] * p["rail_x"] + p["pull_y"] * p["rail_y"]
-        p["rail_resistance"] -= scene.chaser_total_mass * along
+    chaser, target = scene.chaser, scene.target
+    if any((scene.floor.tilt_x, scene.floor.tilt_y, *chaser.besides, *target.besides)):
+        p["is_pulled"], (p["pull_x"], p["pull_y"]) = 1, scene.pull
+        p["cable_S"], p["drag_S"] = (chaser.cable_x, chaser.cable_y), chaser.drag
+        p["cable_T"], p["drag_T"] = (target.cable_x, target.cable_y), target.drag
+        p["rail_resistance"] = resistance(scene)
     p["m_hanging"], p["drop_height"] = hanging_mass, drop_height
     p["speed_scale"] = speed_scale(scene, impact_speed)
     record = np.array([tuple(p.values())], PARAMETERS)

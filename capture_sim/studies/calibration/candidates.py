@@ -84,6 +84,14 @@ FIELDS = (
     _Field("buffer.hinge_offset", "place of the hinge", lambda s: 1e-4),
     _Field("floor.tilt_x", "slope of the floor along x", lambda s: 1e-5),
     _Field("floor.tilt_y", "slope of the floor along y", lambda s: 1e-5),
+    _Field("drag", "drag of both vehicles", lambda s: 1e-2),
+    *(
+        _Field(
+            f"{body}.cable_{axis}", f"force of a cable on the {body} along {axis}", lambda s: 1e-3
+        )
+        for body in ("chaser", "target")
+        for axis in "xy"
+    ),
     *(
         _Field(f"stops.{name}", "stop", _share(f"stops.{name}", 0.01))
         for name in ("compression", "extension", "stiffness")

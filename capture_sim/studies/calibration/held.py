@@ -28,11 +28,15 @@ from capture_sim.studies.calibration.parameters import (
 )
 
 #: Standard uncertainties of the sensors' errors that are held by default, SI: no marker frame is
-#: exactly the body's.
+#: exactly the body's, no encoder exactly in step with the cameras, and no gain exactly 1.
 SENSORS: Mapping[str, float] = {
-    name: 1e-3 if name.endswith("theta") else 5e-4
-    for name in SENSOR_ERRORS
-    if name.startswith("marker.")
+    **{
+        name: 1e-3 if name.endswith("theta") else 5e-4
+        for name in SENSOR_ERRORS
+        if name.startswith("marker.")
+    },
+    "delay.buffer": 3e-3,
+    **dict.fromkeys(("scale.stroke", "scale.torsion"), 1e-2),
 }
 #: Default standard uncertainties: shares of the value, and SI values, by path.  The radii of tip
 #: and BE are not among them: a bench of which they are equal works only if they are exact.
