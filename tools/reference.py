@@ -60,8 +60,8 @@ latch: null
 
 An invalid value is reported in one line: `buffer.k_A = -5 N/m: must be >= 0`.
 
-Four short names are those of every command and call: `c_rr` (rolling resistance of both
-vehicles), `e` (`contact.restitution`), `mu` (`friction.mu`) and `c_A` (`buffer.c_A`).
+Five short names are those of every command and call: `c_rr` and `drag` (of both vehicles), `e`
+(`contact.restitution`), `mu` (`friction.mu`) and `c_A` (`buffer.c_A`).
 
 Scenes whose name begins with `_` are made for others to extend, and `capture-sim scenes` does not
 list them: `_bench`, `_free` and `_table_2` of the paper, and `_loop`, which
@@ -136,14 +136,22 @@ def description(part: type, *, is_optional: bool) -> str:
     return f"{text} Optional." if is_optional else text
 
 
-def tables(part: type, path: str, *, is_optional: bool = False) -> list[str]:
-    """Return one section for each part: its own fields first, then the parts in it."""
+def tables(
+    part: type, path: str, shown: dict[type, str], *, is_optional: bool = False
+) -> list[str]:
+    """Return one section for each part: its own fields first, then the parts in it.
+
+    ``shown`` are the paths of the parts that have a section; a second one of a kind refers to it.
+    """
+    if part in shown:
+        return ["", f"### {path}", "", f"The same fields as `{shown[part]}`."]
+    shown[part] = path
     rows, inner = [], []
     for field in fields(part):
         name = f"{path}.{field.name}" if path else field.name
         what = declared(part)[field.name]
         if is_dataclass(what.kind):
-            inner += tables(what.kind, name, is_optional=what.optional)
+            inner += tables(what.kind, name, shown, is_optional=what.optional)
         else:
             cells = (f"`{name}`", what.unit, range_of(what), default_of(field), what.doc)
             rows.append("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |")
@@ -179,7 +187,7 @@ def catalogue() -> list[str]:
 def scenes_page() -> str:
     """Return docs/scenes.md."""
     laws = ", ".join(f"`{law}`" for law in CONTACT_LAWS if law in NEED_POSITIVE_RESTITUTION)
-    body = [*catalogue(), "", "## Fields", *tables(Scene, "")]
+    body = [*catalogue(), "", "## Fields", *tables(Scene, "", {})]
     return HEAD + "\n".join(body) + "\n" + RULES.format(positive=laws)
 
 

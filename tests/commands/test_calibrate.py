@@ -28,11 +28,15 @@ def trials(tmp_path_factory):
 
 def test_its_scene_runs_and_its_numbers_are_read_again(trials, tmp_path, capfd):
     out = tmp_path / "bench"
-    words = ["calibrate", *trials, "--fit", "c_rr", "mu", "--out", out]
+    words = ["calibrate", *trials, "--fit", "c_rr", "mu", "--profile", "c_rr", "--out", out]
     assert main([str(word) for word in words]) == OK
-    assert "found: all tests passed" in capfd.readouterr().out
+    printed = capfd.readouterr().out
+    assert "found: all tests passed" in printed
+    assert "c_rr: chi2 rises by " in printed
+    assert "c_rr: chi2 rises by " in (out / "calibration.html").read_text(encoding="utf-8")
     found = json.loads((out / "calibration.json").read_text(encoding="utf-8"))
     assert found["findings"] == []
+    assert [profile["name"] for profile in found["profiles"]] == ["c_rr"]
     scene = capture_sim.load_scene(out / "calibrated.yaml")
     assert scene.supports.chaser.c_rr == pytest.approx(0.001, rel=1e-3)
     words = ["sweep", out / "calibrated.yaml", "--calibrated", out, "--runs", 3, "--workers", 1]
@@ -58,6 +62,7 @@ def test_a_fit_that_does_not_count_is_status_1_with_the_reason(trials, tmp_path,
         (["--fit", "c_rr", "c_rr"], "parameter c_rr: given twice: must be given once"),
         (["--fit", "c_rrr"], "parameter c_rrr: must be one of c_rr, e, mu, c_A"),
         (["--weighed", "chaser.mass=22.6"], "weighed chaser.mass=22.6: must be NAME='VALUE +-"),
+        (["--profile", "mu", "--fit", "e"], "profile mu: must be one of the fitted parameters"),
         (["--placement", "0.2 mm, 1 mrad"], "--placement: must be given with --predict"),
         (["--predict", "no_such_scene"], "scene 'no_such_scene': not found"),
         (["--until", "-1"], "argument --until: '-1': must be a number >= 0"),

@@ -386,7 +386,7 @@ def test_the_page_on_rigs_has_the_limits_of_the_launcher():
 
 
 def test_the_scene_reference_explains_every_part_and_field():
-    lines = reference.tables(Scene, "")
+    lines = reference.tables(Scene, "", {})
     for line, after in itertools.pairwise(line for line in lines if line):
         if line.startswith("### "):
             assert len(after) > 20, line

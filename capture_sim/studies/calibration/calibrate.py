@@ -517,13 +517,17 @@ def fit_trials(
     """Fit parameters to trials and test the fit; see :func:`calibrate`.
 
     ``has_scores``: True to search also for parameters that the model lacks.
-    ``held``: weighed parameters that join the fit at its end.  ``executor`` as in
-    :func:`calibrate`.
+    ``held``: weighed parameters that are not asked for.  Errors of sensors are fitted from the
+    start, since their derivatives need no simulation; values of the scene join the fit at its end.
+    ``executor`` as in :func:`calibrate`.
     """
     compile_kernels()
+    sensors = [parameter for parameter in held if not parameter.paths]
+    joining = [parameter for parameter in held if parameter.paths]
     counted = _Progress(
         len(trials) * (2 * len(parameters) + 7) * _LINEAR_FITS * (4 + restarts) // 8, report
     )
+    fitted, parameters = len(parameters), [*parameters, *sensors]
     problem = Problem(trials, parameters, tick=counted, executor=executor or InProcess())
     if problem.rows < problem.dimension:
         raise SceneError(
@@ -532,11 +536,11 @@ def fit_trials(
         )
     begin = begins(parameters)
     _check_start(problem, begin)
-    fitting = _Fitting(problem)
+    fitting = _Fitting(problem, fitted)
     try:
         fitting.run(begin, restarts, seed)
-        if held:
-            fitting.join(held, restarts, seed)
+        if joining:
+            fitting.join(joining, restarts, seed)
         found = _tested(fitting, has_scores=has_scores)
     except KeyboardInterrupt:
         if fitting.latest is None:
@@ -561,14 +565,14 @@ def _check_start(problem: Problem, begin: np.ndarray) -> None:
 class _Fitting:
     """A fit in progress; its latest state is available at any time."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, fitted: int) -> None:
         self.problem = problem
         self.latest: tuple[Problem, Linear] | None = None
         self.found: Found | None = None
         self.joined: EndedSearch | None = None  # the search with the held values, if they joined
         self.is_cut_off = False  # True if they should have joined, but no search had them
-        self.fitted = problem.shared  # number of parameters, without held ones that have joined
-        self.noise: np.ndarray | None = None  # their covariance before that
+        self.fitted = fitted  # number of parameters, without held ones
+        self.noise: np.ndarray | None = None  # their covariance with held ones exact
 
     def run(self, begin: np.ndarray, restarts: int, seed: int) -> None:
         """Fit over a growing horizon, then with the noise of the residuals, then with restarts."""
@@ -618,8 +622,8 @@ class _Fitting:
         was_noise = _block_finding(block_means(at, narrow), narrow) is None
         if not (is_noise or was_noise) and search.linear.chi2 > _USABLE_CHI2 * wide.rows:
             return  # they would hide a part of what the model lacks
-        self.problem, self.fitted, self.joined = wide, k, search
-        self.noise = covariance[:k, :k]
+        self.problem, self.joined = wide, search
+        self.noise = _given_the_rest(covariance[:k, :k], self.fitted)
         self._keep(search.linear)
         if not was_noise:
             # the restarts were left out; here each costs several times as much
@@ -717,7 +721,7 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
         if not is_enough:
             advice = (
                 "with all that is named the residuals are still not noise, so the cause may be "
-                "another, which has no candidate, e.g. drag or a cable"
+                "another, which has no candidate, e.g. a hysteresis"
             )
         elif one.rivals:
             advice = "measure them apart: the cause may also have no candidate"
@@ -924,6 +928,13 @@ def _only_widens(findings: Sequence[Finding], reduced_chi2: float) -> bool:
 
 def _freedom(problem: Problem) -> int:
     return max(problem.rows - problem.dimension + int(problem.fixed.sum()), 1)
+
+
+def _given_the_rest(covariance: np.ndarray, count: int) -> np.ndarray:
+    """Return the covariance (count, count) of the first numbers where all others are exact."""
+    others = covariance[:count, count:]
+    known = others @ np.linalg.pinv(covariance[count:, count:]) @ others.T
+    return np.asarray(covariance[:count, :count] - known)
 
 
 def _covariance(at: Linear, problem: Problem, findings: Sequence[Finding]) -> np.ndarray:

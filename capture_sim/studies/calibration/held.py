@@ -4,6 +4,7 @@ A value of the scene that is neither fitted nor weighed is held while the fit se
 all held values join it as weighed parameters, each with its standard uncertainty as prior knowledge
 (Schmidt, 1966: consider parameters), and the search goes on for a few steps.  So what the trials
 leave open of them is in the errors of the fit, and what the trials say of them in its values.
+Errors of sensors are such parameters from the start: their derivatives need no simulation.
 """
 
 from __future__ import annotations
