@@ -39,7 +39,7 @@ from capture_sim.run.run import MeasuredRun, Run
 from capture_sim.run.series import Series, series_in
 from capture_sim.scene.launch_plan import plan_launch
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.paths import get, with_values
+from capture_sim.scene.paths import expanded, get, with_values
 from capture_sim.studies.calibration.calibrate import Calibration, calibrate
 from capture_sim.studies.calibration.held import uncertainties
 from capture_sim.studies.calibration.parameters import SENSOR_ERRORS
@@ -77,17 +77,16 @@ BESIDES: dict[str, tuple[float, float, tuple[str, ...]]] = {
     "nothing": (0.0, 0.0, ()),
     "tilt, rad": (5e-5, 4e-4, ("floor.tilt_x", "floor.tilt_y")),
     "drag, N s/m": (0.03, 0.3, ("drag",)),
-    "cable, N": (0.003, 0.03, ("cable",)),
+    "cable, N": (0.003, 0.03, ("cable", "floor.tilt")),
     "hysteresis, N": (0.02, 0.3, ("buffer.friction",)),
     "latency, s": (2e-3, 1e-2, ("delay.buffer",)),
     "gain": (1.01, 1.05, ("scale.stroke",)),
 }
 #: Names that count as found for a model that lacks something, and its size by a uniform number.
 LACKS = {
-    "delay": (("delay.buffer",), 2e-3, 10e-3),
     "friction": (("buffer.friction",), 0.02, 0.3),
     "contact": (("contact.stiffness",), 0.01, 0.2),
-    "scale": (("scale.stroke",), 1.01, 1.05),
+    "drag": (("drag",), 0.05, 0.3),
 }
 #: The bench of the known recordings, and the next trial's figures.
 KNOWN = {
@@ -147,6 +146,8 @@ def measured(
     launch = {"string.impact_speed": None}
     launch |= {"string.hanging_mass": plan.hanging_mass, "string.drop_height": plan.drop_height}
     more = more or {}
+    late, scale = late + more.get("delay.buffer", 0.0), scale * more.get("scale.stroke", 1.0)
+    gains = {"stroke": scale, "torsion": more.get("scale.torsion", 1.0)}
     off = {name: value for name, value in more.items() if name not in SENSOR_ERRORS}
     own = with_values(scene, {**fields, **launch, **off})
     dense = np.arange(0.0, 6.0, 2e-4)
@@ -175,7 +176,7 @@ def measured(
         if not buffer:
             columns = marked(columns, [more.get(f"marker.{quantity}.{k}", 0.0) for k in AXES])
         seen = np.stack([np.interp(since, exact_t, column) for column in columns.T], axis=1)
-        values = (seen[:, 0] if buffer else seen) * (scale if quantity == "stroke" else 1.0)
+        values = seen[:, 0] * gains[quantity] if buffer else seen
         noisy = values + rng.normal(size=values.shape) * sigma
         if buffer and besides is not None:
             noisy = np.round(noisy / QUANTA[quantity]) * QUANTA[quantity]
@@ -298,7 +299,8 @@ def random_held(rng: np.random.Generator) -> dict[str, float]:
     fitted = {path for paths in PATHS.values() for path in paths}
     found = {}
     for name, error in uncertainties(scene, fitted).items():
-        centre = 0.0 if name in SENSOR_ERRORS else float(get(scene, name))
+        sensor = SENSOR_ERRORS.get(name)
+        centre = float(get(scene, name)) if sensor is None else sensor.value
         found[name] = centre + error * float(rng.normal())
     return found
 
@@ -334,18 +336,10 @@ def lacks(asked: argparse.Namespace, _: Path) -> list[str]:
             rng = np.random.default_rng([seed, len(kind)])
             true = random_bench(rng)
             size = low * (high / low) ** float(rng.uniform())
-            more: dict[str, float] = {}
-            late, scale, value = 0.0, 1.0, size
-            if kind == "delay":
-                late = size
-            elif kind == "scale":
-                scale = size
-            elif kind == "friction":
-                more["buffer.friction"] = size
-            else:
-                value = more["contact.stiffness"] = load_scene("tilt_0").contact_stiffness * size
+            value = size * (load_scene("tilt_0").contact_stiffness if kind == "contact" else 1.0)
+            more = dict.fromkeys(expanded(names[0]), value)
             try:
-                trials = [measured(name, true, rng, more, late, scale) for name in TRIALS]
+                trials = [measured(name, true, rng, more) for name in TRIALS]
             except (SceneError, SimulationError):
                 continue
             found = calibrate(trials, restarts=2)

@@ -22,14 +22,16 @@ from capture_sim.studies.calibration.calibrate import (
     Lacking,
     _fit_with,
     calibrate,
+    fit_trials,
     lacking_text,
     predicted,
 )
-from capture_sim.studies.calibration.candidates import FIELDS, Score, possible
+from capture_sim.studies.calibration.candidates import FIELDS, NAMED, Score, needed, possible
 from capture_sim.studies.calibration.checks import clustered, convergence, direction_words
 from capture_sim.studies.calibration.descent import EndedSearch, Found
 from capture_sim.studies.calibration.files import as_data, read_calibrated, scene_text
 from capture_sim.studies.calibration.frame import NO_FRAME, Frame, in_frame_of_scene
+from capture_sim.studies.calibration.held import held_parameters, uncertainties
 from capture_sim.studies.calibration.joint import Linear, Problem, inverse
 from capture_sim.studies.calibration.new_trial import agreement_of
 from capture_sim.studies.calibration.parameters import (
@@ -105,8 +107,13 @@ def test_a_trial_of_a_changed_bench_is_named():
 @pytest.mark.parametrize(
     "name, more, true",
     [
-        ("delay.target", {"delays": {"target": 30e-3}}, 30e-3),
         ("buffer.friction", {"true": {**TRUE, "buffer.friction": 0.02}}, 0.02),
+        pytest.param(
+            "drag",
+            {"true": {**TRUE, "chaser.drag": 0.5, "target.drag": 0.5}},
+            0.5,
+            marks=pytest.mark.long,
+        ),
         pytest.param(
             "buffer.c_A_rebound",
             {"true": {**TRUE, "buffer.c_A_rebound": 13.5}},
@@ -158,6 +165,24 @@ def test_an_encoder_that_is_late_or_reads_too_much_is_held_and_found(name, more,
     assert abs(held.fitted - true) < 4.0 * held.known_to
     assert held.known_to < 0.5 * held.error
     assert (np.abs(found.values - VALUES) < 4.0 * found.errors).all()
+
+
+def test_a_held_value_that_explains_the_residuals_is_scored_with_its_size():
+    """It is fitted from the start where it does not join otherwise."""
+    true = {**TRUE, "cone.half_angle": math.radians(45.0) + 3e-3}
+    trials = [trial_of(trial) for trial in two_trials(true=true)]
+    scene = trials[0].scene
+    found = fit_trials(trials, parameters_of(scene, NAMES), restarts=0, has_scores=False)
+    held = held_parameters([scene], uncertainties(scene, NAMES))
+    gains = {
+        each.name: score
+        for each in held
+        if each.paths and (score := needed(found.linear, found.problem, each)) is not None
+    }
+    best = max(gains.values(), key=lambda score: score.gain)
+    assert best.name == "cone.half_angle"
+    assert best.gain > NAMED
+    assert best.estimate == pytest.approx(true["cone.half_angle"], abs=1e-3)
 
 
 def test_a_weighed_hanging_mass_is_held_with_its_error():

@@ -20,7 +20,7 @@ from capture_sim.run.run import Run, checked
 from capture_sim.run.touches import Touches
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import LAUNCH, NO_PHYSICS, expanded, field_names, get, with_values
-from capture_sim.studies.calibration.candidates import NAMED, Score, differing, scores
+from capture_sim.studies.calibration.candidates import NAMED, Score, differing, needed, scores
 from capture_sim.studies.calibration.checks import (
     AGREEING,
     ALARM_BLOCKS,
@@ -101,6 +101,8 @@ _ADDED_STEPS = 6
 _HELD_STEPS = 12
 #: Number of times that the search is begun again with the axes of its own last model.
 _HELD_TRIES = 4
+#: Number of held values that are fitted from the start if the others do not join otherwise.
+_HELD_GROWN = 2
 #: If chi2 per measured value is above this, held values are not why, and one candidate is tried.
 _HOPELESS = 100.0
 #: A weighed value of the launch is refused if it differs more from the recorded one, as a share.
@@ -592,11 +594,37 @@ class _Fitting:
         self._keep(self.found.best.linear)
 
     def join(self, held: Sequence[Parameter], restarts: int, seed: int) -> None:
-        """Let held values join the fit as weighed parameters, and go on for a few steps."""
+        """Let held values join the fit as weighed parameters, and go on for a few steps.
+
+        A fit that began with wrong values of them may end where they do not help.  Then the one
+        that explains most of the residuals is fitted from the start, and the others join again.
+        """
         assert self.found is not None
+        for tries_left in reversed(range(_HELD_GROWN + 1)):
+            at = self.found.best.linear
+            if at.chi2 > _HOPELESS * self.problem.rows or self._has_joined(held, restarts, seed):
+                return
+            ranked = [(needed(at, self.problem, each), each) for each in held]
+            best, needy = max(
+                ((score, each) for score, each in ranked if score is not None),
+                key=lambda pair: pair[0].gain,
+                default=(None, None),
+            )
+            if not tries_left or best is None or needy is None or best.gain < NAMED:
+                return
+            tried = _with(self.problem, at, best, needy, grown=True)
+            if tried is None or tried[2].chi2 >= at.chi2:
+                return
+            _, self.problem, at = tried
+            self.found = Found(EndedSearch(at, 0))
+            self._keep(at)
+            held = [each for each in held if each is not needy]
+
+    def _has_joined(self, held: Sequence[Parameter], restarts: int, seed: int) -> bool:
+        """Try to let held values join; return False if no search from here explains the trials."""
+        assert self.found is not None
+        self.is_cut_off = False
         narrow, at, rng = self.problem, self.found.best.linear, np.random.default_rng([seed, 1])
-        if at.chi2 > _HOPELESS * narrow.rows:
-            return
         k, n = narrow.shared, len(held)
         covariance = step_covariance(at, narrow)
         wide = narrow.replaced(narrow.trials, [*narrow.parameters, *held])
@@ -612,16 +640,16 @@ class _Fitting:
             if search is None or search.linear.decrease < LEFT:
                 break
             if search.linear.chi2 > _BAD * wide.rows:
-                return  # they are not why, either
+                return False  # they are not why, either
             # the axes of the derivatives were wrong: those of this model are better
             place, wider = search.linear.place, step_covariance(search.linear, wide)
         if search is None:
             self.is_cut_off = True
-            return
+            return False
         is_noise = _block_finding(block_means(search.linear, wide), wide) is None
         was_noise = _block_finding(block_means(at, narrow), narrow) is None
         if not (is_noise or was_noise) and search.linear.chi2 > _USABLE_CHI2 * wide.rows:
-            return  # they would hide a part of what the model lacks
+            return False  # they would hide a part of what the model lacks
         self.problem, self.joined = wide, search
         self.noise = _given_the_rest(covariance[:k, :k], self.fitted)
         self._keep(search.linear)
@@ -629,6 +657,7 @@ class _Fitting:
             # the restarts were left out; here each costs several times as much
             self.found = restart(wide, search, rng, min(restarts, AGREEING))
             self.joined = self.found.best
+        return True
 
     def _grown(self, problem: Problem, begin: np.ndarray, rng: np.random.Generator) -> EndedSearch:
         place, covariance = grow(problem, begin, rng, self._keep_early)
@@ -873,13 +902,21 @@ def _what_lacks(
 
 
 def _with(
-    problem: Problem, at: Linear, score: Score, *, grown: bool = False
+    problem: Problem,
+    at: Linear,
+    score: Score,
+    added: Parameter | None = None,
+    *,
+    grown: bool = False,
 ) -> tuple[Lacking, Problem, Linear] | None:
-    """Return a fit with one more parameter, started at its estimate; None if it is impossible."""
+    """Return a fit with one more parameter, started at its estimate; None if it is impossible.
+
+    ``added``: the parameter; None for the one of the score's name.
+    """
     if not score.can_be_fitted:
         return None
-    scene = problem.trials[0].scene
-    (added,) = parameters_of(scene, [score.name])
+    if added is None:
+        (added,) = parameters_of(problem.trials[0].scene, [score.name])
     low, high = added.limits
     start = (
         added.coordinate(score.estimate)

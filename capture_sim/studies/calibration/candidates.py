@@ -21,6 +21,7 @@ from capture_sim.studies.calibration.joint import Asked, Linear, Problem
 from capture_sim.studies.calibration.parameters import (
     COMPUTED,
     SENSOR_ERRORS,
+    Parameter,
     declaration,
     default_names,
 )
@@ -123,6 +124,13 @@ def differing(at: Linear, problem: Problem, number: int, fitted: int) -> list[tu
         value = parameter.value(x)
         found.append((score, parameter.slope(x) * score.estimate / value if value else math.nan))
     return sorted(found, key=lambda each: -each[0].gain)
+
+
+def needed(at: Linear, problem: Problem, held: Parameter) -> Score | None:
+    """Return the score of a held value of the scene; None if it cannot be another one."""
+    assert held.weighed is not None
+    step = held.weighed.error
+    return _field_score(at, problem, _Field(held.name, "a held value", lambda scene: step))
 
 
 def _all(at: Linear, problem: Problem) -> Iterator[Score]:

@@ -39,8 +39,9 @@ _DRAWS, _MIN_HORIZON_STEP, _MAX_HALVINGS = 2, 0.03, 5
 #: Damping of the first step, relative to the diagonal of the Hessian; its factor after a step that
 #: lowers chi2 and after one that does not; damping at which the search gives up.
 _DAMPING, _EASIER, _HARDER, _STIFFEST = 1e-3, 0.1, 8.0, 1e4
-#: Longest step of a shared parameter, in coordinates.
-_MAX_STEP = 0.7
+#: Longest step of a shared parameter, in coordinates: of the scene, and of a sensor, which changes
+#: no motion.
+_MAX_STEP, _MAX_SENSOR_STEP = 0.7, 20.0
 #: Standard deviation of the restarts about the best place, in standard errors.
 _AWAY = 1.5
 #: A restart is moved nearer to the best place, to these shares of its distance in turn, if a trial
@@ -104,6 +105,9 @@ def descend(
     keep(at)
     damping = _DAMPING
     low, high = problem.limits
+    longest_steps = np.array(
+        [_MAX_STEP if parameter.paths else _MAX_SENSOR_STEP for parameter in problem.parameters]
+    )
     for step in range(most):
         if at.decrease < enough:
             return EndedSearch(at, step)
@@ -114,8 +118,8 @@ def descend(
             move = np.zeros(place.size)
             move[free] = -np.linalg.solve(damped[np.ix_(free, free)], at.gradient[free])
             # along a direction without information the step could be of any size
-            longest = float(np.abs(move[: problem.shared]).max(initial=0.0))
-            move *= min(1.0, _MAX_STEP / max(longest, 1e-300))
+            longest = float(np.abs(move[: problem.shared] / longest_steps).max(initial=0.0))
+            move *= min(1.0, 1.0 / max(longest, 1e-300))
             there = np.clip(at.place + move, low, high)
             known = problem.chi2(there, prior)
             if known[0] < at.chi2:
