@@ -115,8 +115,8 @@ _BAD = 1.5
 #: freedom is at most this.  tests/studies/test_calibration.py tries it with small faults of sensors
 #: and buffers (test_values_of_a_usable_fit_are_within_its_errors).
 _USABLE, _USABLE_CHI2 = frozenset({"residuals", "lacks"}), 1.1
-#: A fit whose residuals are not noise is repeated once from another start.  Standard deviation of
-#: the new start from the first one, in coordinates.
+#: A bad fit is repeated once from another start.  Standard deviation of the new start from the
+#: first one, in coordinates.
 _ELSEWHERE = 0.15
 
 
@@ -581,7 +581,7 @@ class _Fitting:
         rng = np.random.default_rng(seed)
         search = self._grown(self.problem, begin, rng)
         search = self._renoised(search)
-        if restarts and _block_finding(block_means(search.linear, self.problem), self.problem):
+        if restarts and search.linear.chi2 > _BAD * self.problem.rows:
             # chatter may trap the fit in a false minimum: repeat it once from another start
             before, first = self.problem, search
             low, high = (limits[: begin.size] for limits in before.limits)
