@@ -92,7 +92,7 @@ def test_noise_is_found_in_the_series():
         (("stops.stiffness",), "parameter stops.stiffness"),
         (
             ("run.t_end",),
-            "parameter run.t_end: must be one of c_rr, e, mu, c_A, or a number of the",
+            "parameter run.t_end: must be one of c_rr, e, mu, c_A, drag, or a number of the",
         ),
         (
             ("mu", "detector.capture_radius"),

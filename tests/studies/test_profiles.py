@@ -19,10 +19,10 @@ def test_chi2_rises_by_the_squares_where_the_error_is_right():
     found = calibrate(trials, ["e", "mu", "buffer.k_A"], restarts=0)
     profile = profiles(found, ["buffer.k_A"])[0]
     assert profile.is_gaussian, profile.text
-    assert profile.rises == pytest.approx([4.0, 1.0, 1.0, 4.0], rel=0.3)
+    assert profile.rises == pytest.approx([4.0, 1.0, 1.0, 4.0], rel=0.3, abs=1.0)
     assert profile.values == pytest.approx(profile.value + np.array(DISTANCES) * profile.error)
-    low, high = profile.interval(1.0)
-    assert (high - low) / 2.0 == pytest.approx(profile.error, rel=0.15)
+    low, high = profile.interval(2.0)
+    assert (high - low) / 4.0 == pytest.approx(profile.error, rel=0.3)
 
 
 def test_an_error_that_is_wrong_gives_way_to_an_interval():
@@ -31,7 +31,7 @@ def test_an_error_that_is_wrong_gives_way_to_an_interval():
     values = 1.0 + np.array(DISTANCES) * error
     profile = Profile("x", "m", 1.0, error, values, (values**2 - 1.0) ** 2 / sigma**2)
     assert not profile.is_gaussian
-    assert "the error is wrong; 68 % interval" in profile.text
+    assert "the error is wrong; 95 % interval" in profile.text
     exact = math.sqrt(1.0 + sigma)
     assert profile.interval(1.0)[1] == pytest.approx(exact, abs=0.1)
 

@@ -531,9 +531,10 @@ def fit_trials(
     )
     fitted, parameters = len(parameters), [*parameters, *sensors]
     problem = Problem(trials, parameters, tick=counted, executor=executor or InProcess())
-    if problem.rows < problem.dimension:
+    unknown = problem.dimension - len(sensors)
+    if problem.rows < unknown:
         raise SceneError(
-            f"{problem.rows} measured values for {problem.dimension} parameters (with seven of "
+            f"{problem.rows} measured values for {unknown} parameters (with seven of "
             "each trial): must be more values than parameters"
         )
     begin = begins(parameters)

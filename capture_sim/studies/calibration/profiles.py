@@ -2,7 +2,8 @@
 
 At some fixed values of a parameter all others are fitted again (Venzon and Moolgavkar, 1988).  If
 the model is linear within the errors, chi2 rises there by the squares of the distances in standard
-errors.  Otherwise the interval is where it rises by 1 (68 %) or 4 (95 %).
+errors.  Otherwise the interval is where it rises by 4 (95 %).  Kinks of chi2, where a touch comes or
+goes, make it rough by about one unit, so that a rise by 1 says little.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from capture_sim.studies.executors import InProcess
 
 #: Distances of the fixed values, in standard errors.
 DISTANCES = (-2.0, -1.0, 1.0, 2.0)
-#: The error is wrong if the root of a rise is off by more than this share of its distance.
-_GAUSSIAN = 0.15
+#: The error is wrong if a rise is off by more than this share, and the roughness of chi2.
+_GAUSSIAN, _ROUGH = 0.3, 1.0
 #: A rise below this shows a better fit than the one that was found.
 _BETTER = -1.0
 #: Largest number of steps of each search.
@@ -49,8 +50,8 @@ class Profile(NamedTuple):
     @property
     def is_gaussian(self) -> bool:
         """True if the standard error gives the intervals."""
-        apart = np.abs(self.roots - DISTANCES) / np.abs(DISTANCES)
-        return bool(np.all(np.isfinite(self.rises)) and apart.max() <= _GAUSSIAN)
+        right = np.square(DISTANCES)
+        return bool(np.all(np.abs(self.rises - right) <= _GAUSSIAN * right + _ROUGH))
 
     @property
     def is_better_elsewhere(self) -> bool:
@@ -77,8 +78,8 @@ class Profile(NamedTuple):
         if self.is_gaussian:
             return f"{words}, as it should: the error is right"
         unit = "" if self.unit == "1" else f" {self.unit}"
-        low, high = self.interval(1.0)
-        return f"{words}: the error is wrong; 68 % interval {low:.6g} to {high:.6g}{unit}"
+        low, high = self.interval(2.0)
+        return f"{words}: the error is wrong; 95 % interval {low:.6g} to {high:.6g}{unit}"
 
 
 def profiles(
