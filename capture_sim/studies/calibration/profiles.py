@@ -2,8 +2,8 @@
 
 At some fixed values of a parameter all others are fitted again (Venzon and Moolgavkar, 1988).  If
 the model is linear within the errors, chi2 rises there by the squares of the distances in standard
-errors.  Otherwise the interval is where it rises by 4 (95 %).  Kinks of chi2, where a touch comes or
-goes, make it rough by about one unit, so that a rise by 1 says little.
+errors.  Otherwise the interval is where it rises by 4 (95 %).  Kinks of chi2, where a touch comes
+or goes, make it rough by about one unit, so that a rise by 1 says little.
 """
 
 from __future__ import annotations
