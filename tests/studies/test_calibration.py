@@ -557,7 +557,6 @@ def test_a_fit_with_a_small_wave_in_its_residuals_is_usable_with_larger_errors()
 
 
 SMALL_FAULTS = {
-    "scale": lambda: two_trials(scales={"stroke": 1.003}),
     "friction": lambda: two_trials(true={**TRUE, "buffer.friction": 0.004}),
     "rebound": lambda: two_trials(true={**TRUE, "buffer.c_A_rebound": 13.15}),
     "wave": lambda: trials_with_a_wave(0.6),
