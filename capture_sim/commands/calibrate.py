@@ -41,7 +41,6 @@ from capture_sim.run.run import Run
 from capture_sim.scene.files import scene_names
 from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.paths import LAUNCH
 from capture_sim.studies.calibration.calibrate import (
     INSEPARABLE,
     TOUCHES,
@@ -56,7 +55,6 @@ from capture_sim.studies.calibration.parameters import (
     DEFAULT,
     SENSOR_ERRORS,
     Weighed,
-    parameters_of,
     read_weighed,
 )
 from capture_sim.studies.calibration.prediction import (
@@ -64,7 +62,6 @@ from capture_sim.studies.calibration.prediction import (
     read_placement,
     shown_figure,
 )
-from capture_sim.studies.calibration.profiles import Profile, check_profiled, profiles
 from capture_sim.studies.calibration.trial import launched
 from capture_sim.studies.executors import open_executor
 
@@ -204,9 +201,6 @@ def run(options: argparse.Namespace) -> int:
         for source in options.trials
     ]
     weighed = _weighed(runs[0].scene, options.weighed)
-    fitted = {name: value for name, value in weighed.items() if name not in LAUNCH}
-    known = [parameter.name for parameter in parameters_of(runs[0].scene, names, fitted)]
-    check_profiled(options.profile, known)
     prepare_folder(options.out)
     compile_first()
     workers = open_executor(options.workers, options.scheduler)
@@ -219,18 +213,18 @@ def run(options: argparse.Namespace) -> int:
             until=options.until,
             restarts=options.restarts,
             touches=options.touches,
+            profile=options.profile,
             seed=options.seed,
             report=partial(progress.at, "calibrate"),
             executor=executor,
         )
-        is_unfinished = any(finding.kind == "unfinished" for finding in found.findings)
-        profiled = () if is_unfinished else profiles(found, options.profile, executor=executor)
+    is_unfinished = any(finding.kind == "unfinished" for finding in found.findings)
     if to_come is not None and not is_unfinished:
         prediction = predicted(found, to_come, placement, seed=options.seed)
         found = dataclasses.replace(found, prediction=prediction)
     with transcript() as shown:
-        _print(found, profiled)
-    _write(found, profiled, runs, shown, options)
+        _print(found)
+    _write(found, runs, shown, options)
     if is_unfinished:
         return INTERRUPTED
     return OK if found.is_usable else FAILED
@@ -291,9 +285,9 @@ def held_lines(found: Calibration) -> list[str]:
         if off > _FAR:
             unit = "" if one.unit == "1" else f" {one.unit}"
             lines.append(
-                f"held, {one.name} = {one.value:.4g}{unit}: the trials have {one.fitted:.4g} +- "
-                f"{one.known_to:.2g}, {off:.1f} of its uncertainties away: correct it, or mend the "
-                "bench"
+                f"held, {one.name} = {one.value:.4g}{unit}: the trials show {one.fitted:.4g} +- "
+                f"{one.known_to:.2g}{unit}, {off:.1f} of its standard uncertainties away: correct "
+                "it, or mend the bench"
             )
     return lines
 
@@ -342,15 +336,14 @@ def print_starts(found: Calibration) -> None:
     print_table(head, rows)
 
 
-def _print(found: Calibration, profiled: Sequence[Profile]) -> None:
+def _print(found: Calibration) -> None:
     print_table(HEAD, parameter_rows(found))
     for i, first in enumerate(found.names):
         for j, second in enumerate(found.names[:i]):
             if abs(found.correlation[i, j]) > INSEPARABLE:
                 echo(f"{second} and {first} are hard to separate: {found.correlation[i, j]:+.3f}")
     print_starts(found)
-    lines = [profile.text for profile in profiled]
-    for line in (*found.notes, *held_lines(found), *lines, *_test_lines(found)):
+    for line in (*found.notes, *held_lines(found), *_test_lines(found)):
         echo(line)
     if found.prediction is not None:
         _print_prediction(found.prediction)
@@ -371,7 +364,8 @@ def verdict_lines(found: Calibration) -> list[str]:
 def _test_lines(found: Calibration) -> list[str]:
     """Return lines with the results of the tests of a fit, to be printed and written to a file."""
     agreeing = [apart for above, apart in found.restarts if above < 4.0]
-    lines = [
+    lines = [profile.text for profile in found.profiles]
+    lines += [
         f"chi2 {found.reduced_chi2:.4g} per degree of freedom ({found.freedom}), "
         f"{found.simulations} simulations",
         f"converged to {found.left:.2g} standard errors",
@@ -428,7 +422,6 @@ def _print_prediction(prediction: Prediction) -> None:
 
 def _write(
     found: Calibration,
-    profiled: Sequence[Profile],
     runs: Sequence[Run],
     shown: Sequence[str | Section],
     options: argparse.Namespace,
@@ -442,20 +435,10 @@ def _write(
     load_scene(path)  # what is written can be read
     echo(f"calibrated scene in {path}")
     data = as_data(found, {start.trial: _sha256(Path(start.trial)) for start in found.starts})
-    data["profiles"] = [
-        {
-            "name": profile.name,
-            "values": profile.values.tolist(),
-            "rises": [rise if math.isfinite(rise) else None for rise in profile.rises.tolist()],
-            "is_gaussian": profile.is_gaussian,
-        }
-        for profile in profiled
-    ]
     give(lambda: data)
     echo(f"values, covariance and tests in {write_json(out / JSON, data)}")
     lines = [table_text(HEAD, parameter_rows(found)), ""]
-    lines += [*found.notes, *held_lines(found), *(profile.text for profile in profiled)]
-    lines += _test_lines(found)
+    lines += [*found.notes, *held_lines(found), *_test_lines(found)]
     lines += verdict_lines(found)
     write_text(out / "calibration.txt", "\n".join(lines) + "\n")
     with drawing():

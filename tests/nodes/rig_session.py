@@ -92,8 +92,10 @@ class Goal:
             said = self.feedback[-1].waiting_for if self.feedback else ""
             return self.is_over or all(each in said for each in words)
 
-        said = lambda: f"{words} is not in {[f.waiting_for for f in self.feedback[-1:]]}"  # noqa: E731
-        wait_until(is_said, said, lambda: len(self.feedback))
+        def what():
+            return f"{words} not in {[f.waiting_for for f in self.feedback[-1:]]}"
+
+        wait_until(is_said, what, lambda: len(self.feedback))
         assert not self.is_over, self.result()
         self.cancel()
         status, result = self.result()

@@ -12,6 +12,7 @@ import pytest
 from measured_trials import NOISE, measured_trial, short_scene
 
 import capture_sim
+from capture_sim.commands.calibrate import held_lines
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.run.frames import Table
 from capture_sim.run.series import Series
@@ -152,7 +153,7 @@ def test_what_is_advised_can_be_carried_out(name):
 @pytest.mark.parametrize(
     "name, more, true",
     [
-        ("delay.buffer", {"delays": {"stroke": 8e-3, "torsion": 8e-3}}, 8e-3),
+        ("delay.buffer", {"delays": {"stroke": 12e-3, "torsion": 12e-3}}, 12e-3),
         pytest.param("scale.stroke", {"scales": {"stroke": 1.04}}, 1.04, marks=pytest.mark.long),
         pytest.param("scale.torsion", {"scales": {"torsion": 0.97}}, 0.97, marks=pytest.mark.long),
     ],
@@ -164,6 +165,8 @@ def test_an_encoder_that_is_late_or_reads_too_much_is_held_and_found(name, more,
     assert found.is_found, found.findings
     assert abs(held.fitted - true) < 4.0 * held.known_to
     assert held.known_to < 0.5 * held.error
+    is_far = abs(true - held.value) > 3.5 * held.error
+    assert any(f"held, {name} = " in line for line in held_lines(found)) or not is_far
     assert (np.abs(found.values - VALUES) < 4.0 * found.errors).all()
 
 
@@ -519,7 +522,7 @@ def test_values_that_are_held_wrong_are_in_the_errors(wrong):
     assert not set(held) & {"supports.chaser.c_rr", "contact.restitution", "buffer.k_A"}
     for name, value in HELD_WRONG[wrong].items():
         assert abs(held[name].fitted - value) < 4.0 * held[name].known_to
-        assert held[name].known_to <= 1.1 * held[name].error  # with what the search has left
+        assert held[name].known_to <= held[name].error
     data = as_data(found, {})
     assert [one["name"] for one in data["held"]] == list(held)
     assert data["held"][0]["moves"].keys() == set(names)

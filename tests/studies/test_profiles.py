@@ -7,22 +7,45 @@ import pytest
 from measured_trials import measured_trial, short_scene
 
 from capture_sim import SceneError, calibrate
-from capture_sim.studies.calibration.profiles import DISTANCES, Profile, check_profiled, profiles
+from capture_sim.studies.calibration.profiles import DISTANCES, Profile, check_profiled
 
 TRUE = {"contact.restitution": 0.6, "friction.mu": 0.27, "buffer.k_A": 560.0}
 
 
-def test_chi2_rises_by_the_squares_where_the_error_is_right():
-    trials = [
-        measured_trial(short_scene(angle), TRUE, seed) for seed, angle in enumerate((0.0, 0.1))
-    ]
-    found = calibrate(trials, ["e", "mu", "buffer.k_A"], restarts=0)
-    profile = profiles(found, ["buffer.k_A"])[0]
+def test_the_error_of_a_good_fit_is_right():
+    trials = [measured_trial(short_scene(angle), TRUE, n) for n, angle in enumerate((0.0, 0.1))]
+    names = ["e", "mu", "buffer.k_A"]
+    found = calibrate(trials, names, restarts=0, profile=["buffer.k_A"])
+    (profile,) = found.profiles
     assert profile.is_gaussian, profile.text
-    assert (np.abs(profile.rises - [4.0, 1.0, 1.0, 4.0]) < [2.2, 1.3, 1.3, 2.2]).all()
     assert profile.values == pytest.approx(profile.value + np.array(DISTANCES) * profile.error)
-    low, high = profile.interval(2.0)
-    assert (high - low) / 4.0 == pytest.approx(profile.error, rel=0.3)
+    low, high = profile.interval(1.0)
+    assert (high - low) / 2.0 == pytest.approx(profile.error, rel=0.15)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.0, 1.4])
+@pytest.mark.parametrize("shift", [-0.7, 0.0, 0.2])
+def test_a_parabola_shows_its_error_and_its_vertex(factor, shift):
+    """A standard error that is the true one times a factor, of a search that ended beside."""
+    distances = np.array(DISTANCES) * factor
+    rises = (distances - shift) ** 2 - shift**2
+    profile = Profile("x", "m", 0.0, factor, distances, rises)
+    assert profile.is_gaussian == (factor == 1.0 and shift != -0.7)
+
+
+def test_ctrl_c_in_a_profile_keeps_the_fit():
+    trials = [measured_trial(short_scene(), {"friction.mu": 0.27}, 0)]
+    counts = []
+    calibrate(trials, ["mu"], restarts=0, report=lambda done, _: counts.append(done))
+
+    def interrupt(done, _):
+        if done > counts[-1]:
+            raise KeyboardInterrupt
+
+    found = calibrate(trials, ["mu"], restarts=0, profile=["mu"], report=interrupt)
+    assert [finding.kind for finding in found.findings] == ["unfinished"]
+    assert found.profiles == ()
+    assert abs(found.values[0] - 0.27) < 4.0 * found.errors[0]
 
 
 def test_an_error_that_is_wrong_gives_way_to_an_interval():

@@ -12,7 +12,7 @@ from capture_sim.messages.topics import Topic
 from capture_sim.plausibility.check import rules_among
 from capture_sim.plausibility.measured import Measured
 from capture_sim.plausibility.motion import MeasuredMotion
-from capture_sim.plausibility.rules import Doubt, Grade
+from capture_sim.plausibility.rules import RULES, Doubt, Grade
 from capture_sim.recording.bag import Bag
 from capture_sim.recording.contents import Contents
 from capture_sim.recording.evidence import evidence_in
@@ -49,7 +49,7 @@ class Evidence:
     """
 
     def __init__(self, waived: Collection[str]) -> None:
-        self._waived = rules_among(waived)
+        self._waived = waived
         self._kept: dict[str, _Kept] = {}
         self._begun = 0  # ns, arrival from which on a trial counts
 
@@ -77,17 +77,21 @@ class Evidence:
         Without a scene, the rules that need one are not checked.
         """
         held = [replace(each, is_before_release=True) for each in evidence_in(latest)]
-        return self._doubts_of(held, scene)
+        # here a clock that varies is refused, and tried again a moment later
+        return self._doubts_of(held, scene, [name for name in self._waived if name in RULES])
 
     def of_trial(self, scene: Scene) -> tuple[Doubt, ...]:
         """Return the broken rules of the messages since the release, each with its finding.
 
         Of a long trial, only the last :data:`MAX_AGE` s count.
         """
-        return self._doubts_of(evidence_in(self._since(self._begun)), scene)
+        evidence = evidence_in(self._since(self._begun))
+        return self._doubts_of(evidence, scene, rules_among(self._waived))
 
-    def _doubts_of(self, evidence: Sequence[Measured], scene: Scene | None) -> tuple[Doubt, ...]:
-        return examined([MeasuredMotion(each, scene) for each in evidence], self._waived)[0]
+    def _doubts_of(
+        self, evidence: Sequence[Measured], scene: Scene | None, waived: Collection[str]
+    ) -> tuple[Doubt, ...]:
+        return examined([MeasuredMotion(each, scene) for each in evidence], waived)[0]
 
     def _since(self, begin: int) -> Bag:
         contents = Contents()

@@ -68,6 +68,7 @@ from capture_sim.studies.calibration.prediction import (
     predict,
     read_placement,
 )
+from capture_sim.studies.calibration.profiles import Profile, check_profiled, profile_of
 from capture_sim.studies.calibration.trial import (
     OWN_SIZE,
     FittedTrial,
@@ -118,6 +119,14 @@ _USABLE, _USABLE_CHI2 = frozenset({"residuals", "lacks"}), 1.1
 #: A bad fit is repeated once from another start.  Standard deviation of the new start from the
 #: first one, in coordinates.
 _ELSEWHERE = 0.15
+
+
+#: What is said of a fit that Ctrl-C has ended.
+_UNFINISHED = Finding(
+    "unfinished",
+    "unfinished: interrupted before the search and its tests had ended",
+    "start it again",
+)
 
 
 class Start(NamedTuple):
@@ -179,6 +188,7 @@ class Calibration:
     held: tuple[Held, ...] = ()  # values that were not asked for, with their uncertainties
     noise_errors: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (k,), with these exact
     notes: tuple[str, ...] = ()  # what of the trials was missing or not used
+    profiles: tuple[Profile, ...] = ()
     prediction: Prediction | None = field(default=None, repr=False)
     problem: Problem | None = field(default=None, repr=False)
     linear: Linear | None = field(default=None, repr=False)
@@ -264,6 +274,7 @@ def calibrate(
     until: float = math.inf,
     restarts: int = RESTARTS,
     touches: int = TOUCHES,
+    profile: Sequence[str] = (),
     seed: int = 0,
     report: Callable[[int, int], None] | None = None,
     executor: Executor | None = None,
@@ -302,6 +313,9 @@ def calibrate(
     touches
         Number of first touches of each trial whose times and strengths are fitted, as far as its
         measurements resolve them.
+    profile
+        Names of fitted parameters whose standard errors are tried, see
+        :mod:`capture_sim.studies.calibration.profiles`.
     seed
         Seed of the restarts and of the prediction.
     report
@@ -360,6 +374,7 @@ def calibrate(
     recorded = {name: get(prepared[0].scene, name) for name in launch}
     prepared = [_launched_with(trial, launch) for trial in prepared]
     parameters = parameters_of(scene, fit, {k: w for k, w in known.items() if k not in launch})
+    check_profiled(profile, [parameter.name for parameter in parameters])
     fitted = {path for p in parameters for path in p.paths or (p.name,)}
     scenes = [trial.scene for trial in prepared]
     uncertain = {**(uncertain or {}), **{name: w.error for name, w in launch.items()}}
@@ -374,6 +389,11 @@ def calibrate(
     )
     if predict is not None:
         found = dataclasses.replace(found, prediction=predicted(found, predict, placed, seed=seed))
+    if not any(finding.kind == "unfinished" for finding in found.findings):
+        try:
+            found = dataclasses.replace(found, profiles=_profiles(found, profile))
+        except KeyboardInterrupt:
+            found = dataclasses.replace(found, findings=(*found.findings, _UNFINISHED))
     held = [dataclasses.replace(h, value=recorded.get(h.name, h.value)) for h in found.held]
     found = dataclasses.replace(found, held=tuple(held))
     return dataclasses.replace(found, weighed=known, notes=_notes(trials, prepared))
@@ -472,6 +492,15 @@ def predicted(
     )
 
 
+def _profiles(found: Calibration, names: Sequence[str]) -> tuple[Profile, ...]:
+    assert found.problem is not None
+    assert found.linear is not None
+    return tuple(
+        profile_of(found.problem, found.linear, j, float(found.values[j]), float(found.errors[j]))
+        for j in map(found.names.index, names)
+    )
+
+
 def _check_same_bench(first: Run, other: Run) -> None:
     """Raise SceneError if two runs are trials of different benches."""
     ours, theirs = first.scene, other.scene
@@ -543,7 +572,8 @@ def fit_trials(
     try:
         fitting.run(begin, restarts, seed)
         if joining:
-            fitting.join(joining, restarts, seed)
+            fitting.join(joining)
+        fitting.confirm(restarts, seed)
         found = _tested(fitting, has_scores=has_scores)
     except KeyboardInterrupt:
         if fitting.latest is None:
@@ -573,6 +603,7 @@ class _Fitting:
         self.latest: tuple[Problem, Linear] | None = None
         self.found: Found | None = None
         self.joined: EndedSearch | None = None  # the search with the held values, if they joined
+        self.has_restarted = False  # True if restarts have tried what was found
         self.is_cut_off = False  # True if they should have joined, but no search had them
         self.fitted = fitted  # number of parameters, without held ones
         self.noise: np.ndarray | None = None  # their covariance with held ones exact
@@ -590,11 +621,24 @@ class _Fitting:
             search = self._grown(before, there, rng)
             search = first if search.linear.chi2 >= first.linear.chi2 else self._renoised(search)
         self.found = Found(search)
-        if _block_finding(block_means(search.linear, self.problem), self.problem) is None:
-            self.found = restart(self.problem, search, rng, restarts)
+        if _is_noise(self.problem, search.linear):
+            # without the held values, restarts cost several times less
+            self.found, self.has_restarted = restart(self.problem, search, rng, restarts), True
         self._keep(self.found.best.linear)
 
-    def join(self, held: Sequence[Parameter], restarts: int, seed: int) -> None:
+    def confirm(self, restarts: int, seed: int) -> None:
+        """Restart a fit that may count, if no restart has tried it yet."""
+        assert self.found is not None
+        best = self.joined or self.found.best
+        if self.has_restarted or not _may_count(self.problem, best.linear):
+            return
+        count = min(restarts, AGREEING) if self.joined else restarts
+        self.found = restart(self.problem, best, np.random.default_rng([seed, 1]), count)
+        if self.joined:
+            self.joined = self.found.best
+        self._keep(self.found.best.linear)
+
+    def join(self, held: Sequence[Parameter]) -> None:
         """Let held values join the fit as weighed parameters, and go on for a few steps.
 
         A fit that began with wrong values of them may end where they do not help.  Then the one
@@ -603,7 +647,7 @@ class _Fitting:
         assert self.found is not None
         for tries_left in reversed(range(_HELD_GROWN + 1)):
             at = self.found.best.linear
-            if at.chi2 > _HOPELESS * self.problem.rows or self._has_joined(held, restarts, seed):
+            if at.chi2 > _HOPELESS * self.problem.rows or self._has_joined(held):
                 return
             ranked = [(needed(at, self.problem, each), each) for each in held]
             best, needy = max(
@@ -617,15 +661,15 @@ class _Fitting:
             if tried is None or tried[2].chi2 >= at.chi2:
                 return
             _, self.problem, at = tried
-            self.found = Found(EndedSearch(at, 0))
+            self.found, self.has_restarted = Found(EndedSearch(at, 0)), False
             self._keep(at)
             held = [each for each in held if each is not needy]
 
-    def _has_joined(self, held: Sequence[Parameter], restarts: int, seed: int) -> bool:
+    def _has_joined(self, held: Sequence[Parameter]) -> bool:
         """Try to let held values join; return False if no search from here explains the trials."""
         assert self.found is not None
         self.is_cut_off = False
-        narrow, at, rng = self.problem, self.found.best.linear, np.random.default_rng([seed, 1])
+        narrow, at = self.problem, self.found.best.linear
         k, n = narrow.shared, len(held)
         covariance = step_covariance(at, narrow)
         wide = narrow.replaced(narrow.trials, [*narrow.parameters, *held])
@@ -647,17 +691,11 @@ class _Fitting:
         if search is None:
             self.is_cut_off = True
             return False
-        is_noise = _block_finding(block_means(search.linear, wide), wide) is None
-        was_noise = _block_finding(block_means(at, narrow), narrow) is None
-        if not (is_noise or was_noise) and search.linear.chi2 > _USABLE_CHI2 * wide.rows:
+        if not (_is_noise(narrow, at) or _may_count(wide, search.linear)):
             return False  # they would hide a part of what the model lacks
         self.problem, self.joined = wide, search
         self.noise = _given_the_rest(covariance[:k, :k], self.fitted)
         self._keep(search.linear)
-        if not was_noise:
-            # the restarts were left out; here each costs several times as much
-            self.found = restart(wide, search, rng, min(restarts, AGREEING))
-            self.joined = self.found.best
         return True
 
     def _grown(self, problem: Problem, begin: np.ndarray, rng: np.random.Generator) -> EndedSearch:
@@ -692,13 +730,8 @@ class _Fitting:
         assert self.latest is not None
         problem, at = self.latest
         self.noise = None
-        finding = Finding(
-            "unfinished",
-            "unfinished: interrupted before the search and its tests had ended",
-            "start it again",
-        )
         fitted = min(self.fitted, problem.shared)
-        return _result(problem, Found(EndedSearch(at, 0)), [finding], fitted=fitted)
+        return _result(problem, Found(EndedSearch(at, 0)), [_UNFINISHED], fitted=fitted)
 
 
 def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
@@ -839,6 +872,16 @@ def lacking_text(one: Lacking) -> str:
     )
 
 
+def _is_noise(problem: Problem, at: Linear) -> bool:
+    """Return True if noise explains the means of the residuals."""
+    return _block_finding(block_means(at, problem), problem) is None
+
+
+def _may_count(problem: Problem, at: Linear) -> bool:
+    """Return True if a fit may be found or usable, as far as its residuals go."""
+    return at.chi2 <= _USABLE_CHI2 * problem.rows or _is_noise(problem, at)
+
+
 def _block_finding(blocks: Sequence[BlockMean], problem: Problem) -> Finding | None:
     """Return the finding on the block means of residuals; None if noise explains them."""
     if not blocks:
@@ -898,8 +941,7 @@ def _what_lacks(
         candidates = scores(at, problem)
     if any(not one.score.can_be_fitted for one in found):
         return found, True  # not tried
-    is_noise = _block_finding(block_means(at, problem), problem) is None
-    return found, is_noise and trials_agree(at, problem)[0].p >= ALARM_TRIALS
+    return found, _is_noise(problem, at) and trials_agree(at, problem)[0].p >= ALARM_TRIALS
 
 
 def _with(
@@ -1007,6 +1049,7 @@ def _result(
     covariance = _covariance(at, problem, findings)
     slopes = np.array([p.slope(float(x)) for p, x in zip(parameters, at.place[:k], strict=True)])
     values = np.array([p.value(float(x)) for p, x in zip(parameters, at.place[:k], strict=True)])
+    known = covariance[:shared_count, :shared_count]
     if k < shared_count:
         # the search may end before its aim, where chatter is rough
         aim = _aim(at)
@@ -1035,12 +1078,7 @@ def _result(
         blocks=tuple(blocks),
         scores=tuple(candidates),
         lacking=tuple(lacking),
-        held=held_of(
-            problem.parameters,
-            at.place[:shared_count],
-            covariance[:shared_count, :shared_count],
-            k,
-        ),
+        held=held_of(problem.parameters, at.place[:shared_count], known, k),
         noise_errors=errors
         if noise is None
         else np.sqrt(np.maximum(np.diag(noise), 0.0)) * np.abs(slopes),

@@ -63,6 +63,15 @@ def as_data(found: Calibration, hashes: Mapping[str, str]) -> dict[str, Any]:
             }
             for one in found.held
         ],
+        "profiles": [
+            {
+                "name": profile.name,
+                "values": _plain(profile.values),
+                "rises": _plain(profile.rises),
+                "is_gaussian": profile.is_gaussian,
+            }
+            for profile in found.profiles
+        ],
         "trials": [
             {
                 "recording": start.trial,

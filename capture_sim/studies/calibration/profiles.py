@@ -1,31 +1,29 @@
 """Profiles of chi2: how far a parameter may be from its value, without the Gaussian error.
 
 At some fixed values of a parameter all others are fitted again (Venzon and Moolgavkar, 1988).  If
-the model is linear within the errors, chi2 rises there by the squares of the distances in standard
-errors.  Otherwise the interval is where it rises by 4 (95 %).  Kinks of chi2, where a touch comes
-or goes, make it rough by about one unit, so that a rise by 1 says little.
+the model is linear within the errors, chi2 is a parabola there: its curvature gives the standard
+error, and its vertex shows how far the search has ended from the minimum.  Otherwise the interval
+is where chi2 rises by 4 (95 %).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from capture_sim.errors import SceneError
-from capture_sim.studies.calibration.calibrate import Calibration
 from capture_sim.studies.calibration.descent import descend
 from capture_sim.studies.calibration.joint import Linear, Problem
-from capture_sim.studies.executors import InProcess
 
 #: Distances of the fixed values, in standard errors.
 DISTANCES = (-2.0, -1.0, 1.0, 2.0)
-#: The error is wrong if a rise is off by more than this share, and the roughness of chi2.
-_GAUSSIAN, _ROUGH = 0.3, 1.0
+#: A standard error is right if chi2 differs from a parabola by at most this, if the parabola's own
+#: error is it within this factor, and if the vertex is within this distance, in standard errors.
+_MISFIT, _FACTOR, _SHIFT = 0.6, 1.25, 0.5
 #: A rise below this shows a better fit than the one that was found.
 _BETTER = -1.0
 #: Largest number of steps of each search.
@@ -43,15 +41,19 @@ class Profile(NamedTuple):
     rises: np.ndarray  # (n,), infinite where the bench cannot be simulated
 
     @property
-    def roots(self) -> np.ndarray:
-        """Signed roots of the rises (n,): DISTANCES, if the standard error is right."""
-        return np.asarray(np.copysign(np.sqrt(np.maximum(self.rises, 0.0)), DISTANCES))
-
-    @property
     def is_gaussian(self) -> bool:
         """True if the standard error gives the intervals."""
-        right = np.square(DISTANCES)
-        return bool(np.all(np.abs(self.rises - right) <= _GAUSSIAN * right + _ROUGH))
+        if not np.isfinite(self.rises).all():
+            return False
+        at, rises = np.array([0.0, *DISTANCES]), np.array([0.0, *self.rises])
+        curve = np.polyfit(at, rises, 2)
+        misfit = np.abs(np.polyval(curve, at) - rises).max()
+        curvature, slope = float(curve[0]), float(curve[1])
+        return bool(
+            misfit <= _MISFIT
+            and _FACTOR**-2 <= curvature <= _FACTOR**2
+            and abs(slope) <= 2.0 * curvature * _SHIFT
+        )
 
     @property
     def is_better_elsewhere(self) -> bool:
@@ -61,12 +63,12 @@ class Profile(NamedTuple):
     def interval(self, root: float) -> tuple[float, float]:
         """Return where chi2 rises by the square of ``root``, interpolated; infinite if beyond."""
         is_known = np.isfinite(self.rises)
-        roots = np.r_[self.roots[is_known], 0.0]
+        rises = np.maximum(self.rises[is_known], 0.0)
+        roots = np.r_[np.copysign(np.sqrt(rises), np.array(DISTANCES)[is_known]), 0.0]
         values = np.r_[self.values[is_known], self.value]
         order = np.argsort(values)
-        roots, values = roots[order], values[order]
-        low, high = np.interp([-root, root], roots, values, left=-math.inf, right=math.inf)
-        return float(low), float(high)
+        ends = np.interp([-root, root], roots[order], values[order], left=-math.inf, right=math.inf)
+        return float(ends[0]), float(ends[1])
 
     @property
     def text(self) -> str:
@@ -76,36 +78,10 @@ class Profile(NamedTuple):
         if self.is_better_elsewhere:
             return f"{words}: a better fit is there, so this one has not converged"
         if self.is_gaussian:
-            return f"{words}, as it should: the error is right"
+            return f"{words}: the error is right within a quarter"
         unit = "" if self.unit == "1" else f" {self.unit}"
         low, high = self.interval(2.0)
         return f"{words}: the error is wrong; 95 % interval {low:.6g} to {high:.6g}{unit}"
-
-
-def profiles(
-    found: Calibration, names: Sequence[str], *, executor: Executor | None = None
-) -> tuple[Profile, ...]:
-    """Return the profiles of some parameters of a fit.
-
-    ``executor`` as in :func:`capture_sim.calibrate`.
-
-    Raises
-    ------
-    SceneError
-        A name is not one of the fitted parameters, or the fit does not determine it.
-
-    Examples
-    --------
-    >>> import capture_sim
-    >>> found = capture_sim.calibrate([capture_sim.simulate("tilt_0")], ["c_rr"], restarts=1)
-    >>> [profile] = profiles(found, ["c_rr"])
-    >>> profile.is_gaussian
-    True
-    """
-    check_profiled(names, found.names)
-    assert found.problem is not None
-    problem = replace(found.problem, executor=executor or InProcess())
-    return tuple(_profile(found, problem, name) for name in names)
 
 
 def check_profiled(names: Sequence[str], fitted: Sequence[str]) -> None:
@@ -117,16 +93,17 @@ def check_profiled(names: Sequence[str], fitted: Sequence[str]) -> None:
             )
 
 
-def _profile(found: Calibration, problem: Problem, name: str) -> Profile:
-    at = found.linear
-    assert at is not None
-    j = found.names.index(name)
-    value, error = float(found.values[j]), float(found.errors[j])
+def profile_of(problem: Problem, at: Linear, j: int, value: float, error: float) -> Profile:
+    """Return the profile of the parameter with index j of a fit; ``value`` and ``error`` in SI.
+
+    Raise SceneError if the fit does not determine it.
+    """
+    parameter = problem.parameters[j]
     if not 0.0 < error < math.inf:
-        raise SceneError(f"profile {name}: the trials do not determine it")
+        raise SceneError(f"profile {parameter.name}: the trials do not determine it")
     values = np.array([value + distance * error for distance in DISTANCES])
     rises = [_least(problem, at, j, fixed) - at.chi2 for fixed in values.tolist()]
-    return Profile(name, found.units[j], value, error, values, np.array(rises))
+    return Profile(parameter.name, parameter.unit, value, error, values, np.array(rises))
 
 
 def _least(problem: Problem, at: Linear, j: int, value: float) -> float:

@@ -56,6 +56,7 @@ def test_the_launch_is_planned_for_drag_and_cable(string):
             assert expected_time(scene, plan, x) == pytest.approx(t, abs=1e-9)
 
 
+@pytest.mark.long
 def test_the_bench_of_another_model_agrees():
     """benchmarks/foreign_plant.py has the same drag and cables in other equations."""
     scene = load_scene("tilt_p10", {**BESIDES, "run.t_end": 4.0})
