@@ -149,8 +149,7 @@ def coasting(scene: Scene) -> tuple[float, float]:
 def _sink(scene: Scene, hanging_mass: float) -> tuple[float, float]:
     """Return acceleration (m/s^2) and damping (1/s) of a chaser that a mass (kg) pulls."""
     assert scene.string is not None
-    string, mass = scene.string, scene.chaser_total_mass
-    pulley = string.pulley_inertia / string.pulley_radius**2
+    pulley, mass = scene.string.pulley_mass, scene.chaser_total_mass
     acceleration = _pulled(hanging_mass, scene.gravity, resistance(scene), mass, pulley)
     return acceleration, scene.chaser.drag / (mass + hanging_mass + pulley)
 
@@ -225,7 +224,6 @@ def plan_launch(scene: Scene) -> LaunchPlan:
     string, g = scene.string, scene.gravity
     m = scene.chaser_total_mass
     friction = resistance(scene)
-    pulley = string.pulley_inertia / string.pulley_radius**2
     if not math.isfinite(travel):
         raise SceneError(
             f"string.impact_speed: the chaser's straight path {_miss(scene)}, so no speed of the "
@@ -264,7 +262,7 @@ def plan_launch(scene: Scene) -> LaunchPlan:
         assert v is not None
         # height is at most the travel, so a > 0 whenever v > 0
         a = (v * v + 2.0 * coast * (travel - height)) / (2.0 * height)
-        mass = (a * (m + pulley) + friction) / (g - a) if a < g else math.inf
+        mass = (a * (m + string.pulley_mass) + friction) / (g - a) if a < g else math.inf
         heaviest = mass
         while is_damped and heaviest < _HEAVIEST and impact_of(heaviest, height) < v:
             heaviest *= 2.0

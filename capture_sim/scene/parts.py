@@ -383,6 +383,11 @@ class String(Checked):
     )
     pulley_radius: float = quantity("m", POSITIVE, default=0.02, doc="radius of the pulley")
 
+    @property
+    def pulley_mass(self) -> float:
+        """Mass that the pulley adds to what moves, I_p / r_p^2, kg."""
+        return self.pulley_inertia / self.pulley_radius**2
+
 
 @dataclass(frozen=True)
 class Latch(Checked):

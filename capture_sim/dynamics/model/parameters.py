@@ -219,7 +219,7 @@ def _launch(scene: Scene) -> dict[str, Any]:
         "rail_x": math.cos(heading),
         "rail_y": math.sin(heading),
         "rail_length": scene.rail.length if scene.rail is not None else 0.0,
-        "pulley_mass": 0 if string is None else string.pulley_inertia / string.pulley_radius**2,
+        "pulley_mass": 0 if string is None else string.pulley_mass,
     }
 
 
