@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
+import zlib
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -176,7 +177,8 @@ def measured(
         if not buffer:
             columns = marked(columns, [more.get(f"marker.{quantity}.{k}", 0.0) for k in AXES])
         seen = np.stack([np.interp(since, exact_t, column) for column in columns.T], axis=1)
-        values = seen[:, 0] * gains[quantity] if buffer else seen
+        off_zero = more.get(f"offset.{quantity}", 0.0)
+        values = seen[:, 0] * gains[quantity] + off_zero if buffer else seen
         noisy = values + rng.normal(size=values.shape) * sigma
         if buffer and besides is not None:
             noisy = np.round(noisy / QUANTA[quantity]) * QUANTA[quantity]
@@ -297,11 +299,13 @@ def random_held(rng: np.random.Generator) -> dict[str, float]:
     launch = {"string.hanging_mass": plan.hanging_mass, "string.drop_height": plan.drop_height}
     scene = with_values(scene, {"string.impact_speed": None, **launch})
     fitted = {path for paths in PATHS.values() for path in paths}
-    found = {}
-    for name, error in uncertainties(scene, fitted).items():
+    found, root = {}, int(rng.integers(2**32))
+    for name, error in uncertainties(scene, fitted, sensors=NOISE).items():
+        # each has its own draw, so that another list of names changes no other value
+        own = np.random.default_rng([root, zlib.crc32(name.encode())])
         sensor = SENSOR_ERRORS.get(name)
         centre = float(get(scene, name)) if sensor is None else sensor.value
-        found[name] = centre + error * float(rng.normal())
+        found[name] = centre + error * float(own.normal())
     return found
 
 
@@ -367,6 +371,8 @@ class Foreign(NamedTuple):
     verdict: str
     z: np.ndarray  # (10,), errors over their standard errors
     wider: float  # median of the standard errors over those by noise alone
+    covered: int  # predicted figures of a next trial inside their 95 % band
+    figures: int
     named: str  # what the model is said to lack
     is_named: bool
     spent: float  # s of CPU
@@ -399,7 +405,12 @@ def fit_foreign(seed: int) -> Foreign | None:
         trials = [measured(one, true, rng, held, late, scale, besides) for one in TRIALS]
     except (SceneError, SimulationError):
         return None
-    found = calibrate(trials, restarts=2)
+    coming = launched(measured("tilt_0", true, rng, held).replaced(scene=_next(rng)))
+    found = calibrate(trials, restarts=2, predict=coming)
+    spent = time.process_time() - begin
+    assert found.prediction is not None
+    figures = {figure.name: figure for figure in found.prediction.figures}
+    truth = _foreign_figures(coming, true, held, besides)
     lacking = [one.score.name for one in found.lacking]
     also = " ".join(finding.text for finding in found.findings if finding.kind == "lacks")
     return Foreign(
@@ -411,10 +422,30 @@ def fit_foreign(seed: int) -> Foreign | None:
         else "; ".join(dict.fromkeys(f.kind for f in found.findings)),
         z=(found.values - [true[name] for name in found.names]) / found.errors,
         wider=float(np.median(found.errors / found.noise_errors)),
+        covered=sum(figures[k].low <= value <= figures[k].high for k, value in truth.items()),
+        figures=len(truth),
         named=", ".join(lacking),
         is_named=any(each in (*lacking, also) or each in also for each in names),
-        spent=time.process_time() - begin,
+        spent=spent,
     )
+
+
+def _foreign_figures(
+    scene: Scene, true: dict[str, float], held: dict[str, float], besides: Besides
+) -> dict[str, float]:
+    """Return figures of a trial of a bench of another model by name; its force is not one."""
+    fields = {path: value for key, value in true.items() for path in PATHS[key]}
+    off = {name: value for name, value in held.items() if name not in SENSOR_ERRORS}
+    own = with_values(scene, {**fields, **off})
+    q, _ = motion_of(own, besides, np.arange(0.0, scene.run.t_end, 2e-4))
+    stroke = q[:, 4] - own.rest_length
+    torsion = float(np.abs(q[:, 3] - q[:, 2]).max())
+    inwards, outwards = float(-stroke.min()), float(stroke.max())
+    return {
+        "max_axial_stroke_in": inwards,
+        "max_axial_stroke_out": outwards,
+        "max_torsion": torsion,
+    }
 
 
 def foreign(asked: argparse.Namespace, _: Path) -> list[str]:
@@ -439,15 +470,23 @@ def table_of(benches: Sequence[Foreign]) -> list[str]:
             one.verdict,
             f"{np.abs(one.z).max():.1f}",
             f"{one.wider:.1f}",
+            f"{one.covered} of {one.figures}",
             one.named or "-",
             f"{one.spent:.0f} s",
         ]
         for one in benches
     ]
-    head = ["seed", "has besides", "size", "the fit says", "largest", "wider", "named", "CPU"]
+    head = ["seed", "has besides", "size", "the fit says", "largest", "wider", "next trial"]
+    head += ["named", "CPU"]
+    refused = [one for one in benches if one not in used]
     return [
         f"{len(used)} of {len(benches)} found or usable, none of their values further from the "
-        f"truth than {most:.1f} errors:",
+        f"truth than {most:.1f} errors, {sum(one.covered for one in used)} of "
+        f"{sum(one.figures for one in used)} figures of their next trials in the 95 % band; "
+        f"{sum(one.is_named for one in refused)} of {len(refused)} refused with what they have "
+        "besides among the names; median CPU "
+        f"{np.median([one.spent for one in benches]):.0f} s, largest "
+        f"{max(one.spent for one in benches):.0f} s:",
         "",
         table(head, rows),
     ]

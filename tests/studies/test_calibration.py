@@ -624,3 +624,27 @@ def test_a_prediction_has_the_held_values():
     for one, other in zip(wide.prediction.figures, narrow.prediction.figures, strict=True):
         assert one.spread > 0.5 * other.spread
     assert wide.prediction.failed == 0
+
+
+def test_a_path_in_wrong_units_ends_the_search_before_the_contact():
+    """A path that is 1.3 times too long: no bench moves so, and that takes 44 simulations."""
+    scene = load_scene("tilt_0", {"run.t_end": 3.6})
+    run = measured_trial(scene, {}, 1, scales={"chaser": 1.3})
+    found = calibrate([run], ["e", "mu"])
+    assert not found.is_usable
+    assert found.findings[0].text.startswith(
+        "not converged: the search has ended before the first contact, where chi2 is "
+    )
+    assert "of chaser x in phase approach of trial" in found.findings[1].text
+    assert found.simulations < 500
+
+
+def test_a_fit_that_has_had_its_simulations_tries_no_further_way(monkeypatch):
+    """Else a bench that lacks several things is searched without an end."""
+    trials = two_trials(true={"friction.mu": 0.27, "buffer.friction": 0.3})[:1]
+    monkeypatch.setattr("capture_sim.studies.calibration.calibrate._MOST_SIMULATIONS", 50)
+    found = calibrate(trials, ["mu"], restarts=1)
+    assert not found.is_usable
+    (text,) = [finding.text for finding in found.findings if finding.kind == "budget"]
+    assert text.startswith("the search ended after ")
+    assert len(found.lacking) == 1

@@ -38,9 +38,11 @@ from capture_sim.studies.calibration.checks import (
     undetermined,
 )
 from capture_sim.studies.calibration.descent import (
+    HOPELESS,
     RESTARTS,
     EndedSearch,
     Found,
+    HopelessError,
     apart,
     descend,
     grow,
@@ -100,12 +102,17 @@ _RIVAL = 0.7
 _ADDED_STEPS = 6
 #: Largest number of search steps after the held values have joined.
 _HELD_STEPS = 12
+#: Predicted decrease of chi2 below which a search with the held values ends: its 50 and more
+#: numbers each gain a little in the roughness of chi2, of about one unit.
+_HELD_ENOUGH = 1.0
 #: Number of times that the search is begun again with the axes of its own last model.
 _HELD_TRIES = 4
+#: A held value that is fitted from the start must lower chi2 to this share, or end a bad fit.
+_PROGRESS = 0.5
 #: Number of held values that are fitted from the start if the others do not join otherwise.
 _HELD_GROWN = 2
-#: If chi2 per measured value is above this, held values are not why, and one candidate is tried.
-_HOPELESS = 100.0
+#: Number of simulations of each trial after which no further way is tried.
+_MOST_SIMULATIONS = 20_000
 #: A weighed value of the launch is refused if it differs more from the recorded one, as a share.
 _OTHER_LAUNCH = 0.05
 #: Step of the first derivatives by a held value, as a share of its uncertainty.
@@ -292,9 +299,9 @@ def calibrate(
     fit
         Names of the shared parameters: ``c_rr`` (of both vehicles), ``e``, ``mu``, ``c_A``, scene
         fields such as ``buffer.k_A``, and errors of sensors: ``delay.buffer``, ``delay.target``,
-        ``scale.stroke``, ``scale.torsion``, ``scale.chaser``, ``scale.target``, ``offset.stroke``,
-        ``offset.torsion``.  None selects the first four, both buffer stiffnesses, and the masses
-        and inertias of both vehicles.
+        ``scale.stroke``, ``scale.torsion``, ``scale.chaser``, ``scale.target``, ``scale.force``,
+        ``offset.stroke``, ``offset.torsion``.  None selects the first four, both buffer
+        stiffnesses, and the masses and inertias of both vehicles.
     weighed
         Independently measured values by name, e.g. ``{"chaser.mass": "22.6 +- 0.02 kg"}``.  They
         are fitted too, and their errors enter the covariance.
@@ -312,7 +319,7 @@ def calibrate(
         Number of successive restarts near the best fit that must find no better fit.
     touches
         Number of first touches of each trial whose times and strengths are fitted, as far as its
-        measurements resolve them.
+        measurements resolve them; else the impulse of the contact is.  With 0, no force is used.
     profile
         Names of fitted parameters whose standard errors are tried, see
         :mod:`capture_sim.studies.calibration.profiles`.
@@ -364,6 +371,7 @@ def calibrate(
         trial_of(
             run,
             touches=_touches_of(run, touches),
+            has_impulse=touches > 0,
             until=until,
             is_release_fitted=run.scene.string is not None,
         )
@@ -377,6 +385,7 @@ def calibrate(
     check_profiled(profile, [parameter.name for parameter in parameters])
     fitted = {path for p in parameters for path in p.paths or (p.name,)}
     scenes = [trial.scene for trial in prepared]
+    sensors = set[str]().union(*(trial.sensors for trial in prepared))
     uncertain = {**(uncertain or {}), **{name: w.error for name, w in launch.items()}}
     found = fit_trials(
         prepared,
@@ -384,7 +393,7 @@ def calibrate(
         restarts=restarts,
         seed=seed,
         report=report,
-        held=held_parameters(scenes, uncertainties(scenes[0], fitted, uncertain)),
+        held=held_parameters(scenes, uncertainties(scenes[0], fitted, uncertain, sensors)),
         executor=executor,
     )
     if predict is not None:
@@ -429,7 +438,9 @@ def _notes(runs: Sequence[Run], trials: Sequence[FittedTrial]) -> tuple[str, ...
         if any(run.series.get(quantity) for quantity in ("tip_force", "cone_force")):
             words = "of the contact force, only times and strengths of the first touches are used"
             if trial.touches is None:
-                words = "the contact force is not used: its touches are not resolved"
+                words = "of the contact force, only the impulse of the contact is used"
+            if not trial.force_rows:
+                words = "the contact force is not used: it shows neither touches nor an impulse"
             found.setdefault(words, []).append(Path(trial.name).name)
     placed = [_placement(poses) for run in runs if (poses := first_poses(run)) is not None]
     if len(placed) > 1 and (np.ptp(placed, axis=0) < ALIKE).all():
@@ -571,15 +582,35 @@ def fit_trials(
     fitting = _Fitting(problem, fitted)
     try:
         fitting.run(begin, restarts, seed)
-        if joining:
-            fitting.join(joining)
+        if not fitting.joins(joining):
+            is_another = restarts > 0 and fitting.begins_elsewhere(begin, seed)
+            if not (is_another and fitting.joins(joining)):
+                fitting.join_one_by_one(joining)
         fitting.confirm(restarts, seed)
         found = _tested(fitting, has_scores=has_scores)
+    except HopelessError as no_way:
+        found = _hopeless(no_way, fitted)
     except KeyboardInterrupt:
         if fitting.latest is None:
             raise
         found = fitting.unfinished()
     return dataclasses.replace(found, simulations=counted.done)
+
+
+def _hopeless(no_way: HopelessError, fitted: int) -> Calibration:
+    """Return the result of a search that has ended early."""
+    part, at, after = no_way.part, no_way.at, no_way.after
+    when = f"{1e3 * after:.3g} ms after" if after > 0.0 else "before"
+    finding = Finding(
+        "convergence",
+        f"not converged: the search has ended {when} the first contact, where chi2 is "
+        f"{at.chi2 / part.rows:.4g} per measured value: the scene's bench does not move so",
+        "look for wrong units, axes or values of the scene, or for another scene",
+    )
+    blocks = block_means(at, part)
+    worst = _block_finding(blocks, part)
+    findings = [finding, *([worst] if worst is not None else [])]
+    return _result(part, Found(EndedSearch(at, 0)), findings, blocks=blocks, fitted=fitted)
 
 
 def _check_start(problem: Problem, begin: np.ndarray) -> None:
@@ -605,26 +636,47 @@ class _Fitting:
         self.joined: EndedSearch | None = None  # the search with the held values, if they joined
         self.has_restarted = False  # True if restarts have tried what was found
         self.is_cut_off = False  # True if they should have joined, but no search had them
+        self.whole = problem  # counts the simulations of all others
+        self.is_ended_early = False  # True if something was not tried for want of simulations
         self.fitted = fitted  # number of parameters, without held ones
         self.noise: np.ndarray | None = None  # their covariance with held ones exact
+
+    def may_go_on(self) -> bool:
+        """Return False, and remember it, if as many simulations were made as a fit may have."""
+        is_left = self.whole.simulations < _MOST_SIMULATIONS * len(self.whole.trials)
+        self.is_ended_early = self.is_ended_early or not is_left
+        return is_left
 
     def run(self, begin: np.ndarray, restarts: int, seed: int) -> None:
         """Fit over a growing horizon, then with the noise of the residuals, then with restarts."""
         rng = np.random.default_rng(seed)
         search = self._grown(self.problem, begin, rng)
         search = self._renoised(search)
-        if restarts and search.linear.chi2 > _BAD * self.problem.rows:
-            # chatter may trap the fit in a false minimum: repeat it once from another start
-            before, first = self.problem, search
-            low, high = (limits[: begin.size] for limits in before.limits)
-            there = np.clip(begin + _ELSEWHERE * rng.standard_normal(begin.size), low, high)
-            search = self._grown(before, there, rng)
-            search = first if search.linear.chi2 >= first.linear.chi2 else self._renoised(search)
         self.found = Found(search)
         if _is_noise(self.problem, search.linear):
             # without the held values, restarts cost several times less
             self.found, self.has_restarted = restart(self.problem, search, rng, restarts), True
         self._keep(self.found.best.linear)
+
+    def begins_elsewhere(self, begin: np.ndarray, seed: int) -> bool:
+        """Repeat a bad fit from another start: chatter may have trapped it in a false minimum.
+
+        Return True if that fit is better.
+        """
+        assert self.found is not None
+        before, first = self.problem, self.found.best
+        if first.linear.chi2 <= _BAD * before.rows or not self.may_go_on():
+            return False
+        rng = np.random.default_rng([seed, 2])
+        low, high = (limits[: begin.size] for limits in before.limits)
+        there = np.clip(begin + _ELSEWHERE * rng.standard_normal(begin.size), low, high)
+        search = self._grown(before, there, rng)
+        if search.linear.chi2 >= first.linear.chi2:
+            self.problem = before
+            return False
+        self.found, self.has_restarted = Found(self._renoised(search)), False
+        self._keep(self.found.best.linear)
+        return True
 
     def confirm(self, restarts: int, seed: int) -> None:
         """Restart a fit that may count, if no restart has tried it yet."""
@@ -633,21 +685,22 @@ class _Fitting:
         if self.has_restarted or not _may_count(self.problem, best.linear):
             return
         count = min(restarts, AGREEING) if self.joined else restarts
-        self.found = restart(self.problem, best, np.random.default_rng([seed, 1]), count)
+        rng = np.random.default_rng([seed, 1])
+        enough = {"enough": _HELD_ENOUGH} if self.joined else {}
+        self.found = restart(self.problem, best, rng, count, **enough)
         if self.joined:
             self.joined = self.found.best
         self._keep(self.found.best.linear)
 
-    def join(self, held: Sequence[Parameter]) -> None:
-        """Let held values join the fit as weighed parameters, and go on for a few steps.
+    def join_one_by_one(self, held: Sequence[Parameter]) -> None:
+        """Fit the held value that explains most of the residuals from the start; others join then.
 
-        A fit that began with wrong values of them may end where they do not help.  Then the one
-        that explains most of the residuals is fitted from the start, and the others join again.
+        A fit that began with wrong values of them may have ended where they do not help.
         """
         assert self.found is not None
-        for tries_left in reversed(range(_HELD_GROWN + 1)):
+        for _ in range(_HELD_GROWN):
             at = self.found.best.linear
-            if at.chi2 > _HOPELESS * self.problem.rows or self._has_joined(held):
+            if at.chi2 > HOPELESS * self.problem.rows or not self.may_go_on():
                 return
             ranked = [(needed(at, self.problem, each), each) for each in held]
             best, needy = max(
@@ -655,19 +708,30 @@ class _Fitting:
                 key=lambda pair: pair[0].gain,
                 default=(None, None),
             )
-            if not tries_left or best is None or needy is None or best.gain < NAMED:
+            if best is None or needy is None or best.gain < NAMED:
                 return
             tried = _with(self.problem, at, best, needy, grown=True)
-            if tried is None or tried[2].chi2 >= at.chi2:
+            if tried is None:
+                return
+            if tried[2].chi2 >= max(_PROGRESS * at.chi2, min(at.chi2, _BAD * self.problem.rows)):
                 return
             _, self.problem, at = tried
             self.found, self.has_restarted = Found(EndedSearch(at, 0)), False
             self._keep(at)
             held = [each for each in held if each is not needy]
+            if self.joins(held):
+                return
 
-    def _has_joined(self, held: Sequence[Parameter]) -> bool:
-        """Try to let held values join; return False if no search from here explains the trials."""
+    def joins(self, held: Sequence[Parameter]) -> bool:
+        """Let held values join the fit as weighed parameters, and go on for a few steps.
+
+        Return False if no search from here explains the trials.
+        """
         assert self.found is not None
+        if not held:
+            return True
+        if self.found.best.linear.chi2 > HOPELESS * self.problem.rows:
+            return False
         self.is_cut_off = False
         narrow, at = self.problem, self.found.best.linear
         k, n = narrow.shared, len(held)
@@ -681,7 +745,7 @@ class _Fitting:
         # the trials know most of them better than that: with longer steps, touches would be others
         wider[range(k, k + n), range(k, k + n)] = (_HELD_SHARE * prior.error[k : k + n]) ** 2
         for _ in range(_HELD_TRIES):
-            search = descend(wide, place, prior, wider, most=_HELD_STEPS)
+            search = descend(wide, place, prior, wider, most=_HELD_STEPS, enough=_HELD_ENOUGH)
             if search is None or search.linear.decrease < LEFT:
                 break
             if search.linear.chi2 > _BAD * wide.rows:
@@ -779,7 +843,10 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
     lacking: list[Lacking] = []
     is_enough = True
     if candidates and candidates[0].gain > NAMED:
-        lacking, is_enough = _what_lacks(problem, at, candidates)
+        lacking, is_enough = _what_lacks(problem, at, candidates, fitting.may_go_on)
+    if fitting.is_ended_early:
+        text = f"the search ended after {fitting.whole.simulations} simulations, with ways untried"
+        findings.append(Finding("budget", text, "start nearer to the bench, or fit fewer trials"))
     for one in lacking:
         if not is_enough:
             advice = (
@@ -907,18 +974,22 @@ def _likely(candidates: Sequence[Score]) -> list[Score]:
 
 
 def _what_lacks(
-    problem: Problem, at: Linear, candidates: Sequence[Score]
+    problem: Problem,
+    at: Linear,
+    candidates: Sequence[Score],
+    may_go_on: Callable[[], bool],
 ) -> tuple[list[Lacking], bool]:
     """Add the parameters that the model lacks, one at a time, and return them.
 
-    Also return whether they are enough: with them the residuals are noise, and the trials agree.
+    The first is added in any case, others while ``may_go_on``.  Also return whether they are
+    enough: with them the residuals are noise, and the trials agree.
     """
     found: list[Lacking] = []
-    most = 1 if at.chi2 > _HOPELESS * problem.rows else _MAX_ADDED
+    most = 1 if at.chi2 > HOPELESS * problem.rows else _MAX_ADDED
     for _ in range(most):
         likely = _likely(candidates)
         likely = [s for s in likely if s.gain > _ALIKE * likely[0].gain][:_MAX_TRIED]
-        if not likely:
+        if not likely or (found and not may_go_on()):
             break
         best: tuple[Lacking, Problem, Linear] | None = None
         for score in likely:
@@ -929,7 +1000,7 @@ def _what_lacks(
             one = likely[0]
             found.append(Lacking(one, one.estimate, one.error, one.gain))
             break
-        if _BAD * problem.rows < at.chi2 < _HOPELESS * problem.rows:
+        if _BAD * problem.rows < at.chi2 < HOPELESS * problem.rows and may_go_on():
             best = _with(problem, at, best[0].score, grown=True) or best
         rivals = tuple(
             each.name

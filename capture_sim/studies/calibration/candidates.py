@@ -137,7 +137,7 @@ def _all(at: Linear, problem: Problem) -> Iterator[Score]:
     scene = problem.trials[0].scene
     fitted = {p.name for p in problem.parameters}
     paths = {path for p in problem.parameters if len(p.paths) == 1 for path in p.paths}
-    names = {channel.name for trial in problem.trials for channel in trial.channels}
+    names = set[str]().union(*(trial.sensors for trial in problem.trials))
     for name, error in SENSOR_ERRORS.items():
         if name in fitted or not set(error.channel) & names:
             continue

@@ -33,8 +33,11 @@ _STEPS, _STEPS_EARLY = 12, 5
 #: An early fit explains the values added to a shorter fit if chi2 grows by less than their number
 #: times the first factor, plus the second number of standard deviations of noise.  Otherwise it is
 #: repeated from ``_DRAWS`` random starts.  If that fails too, the step of the horizon is halved if
-#: it is longer than ``_MIN_HORIZON_STEP`` (s), at most ``_MAX_HALVINGS`` times.
-_EXCESS, _EXCESS_NOISE = 1.15, 4.0
+#: it is longer than ``_MIN_HORIZON_STEP`` (s), at most ``_MAX_HALVINGS`` times.  If two starts end
+#: with the same chi2, to a share ``_SAME`` of what is not explained, the minimum is no false one:
+#: the model lacks something, or a held value is wrong, and the fit goes on.  With chi2 per value
+#: above ``_LOST`` the later fits are not repeated either.
+_EXCESS, _EXCESS_NOISE, _SAME, _LOST = 1.15, 4.0, 0.02, 5.0
 _DRAWS, _MIN_HORIZON_STEP, _MAX_HALVINGS = 2, 0.03, 5
 #: Damping of the first step, relative to the diagonal of the Hessian; its factor after a step that
 #: lowers chi2 and after one that does not; damping at which the search gives up.
@@ -53,9 +56,20 @@ RESTARTS, _MAX_RESTARTS = 4, 10
 #: Decrease of chi2 from which the end of a restart counts as a better place.  Kinks of chi2 leave a
 #: roughness of about one unit.
 _BETTER = 0.5
+#: If chi2 per measured value is above this, neither noise nor a held value is why; and the limit
+#: before the first contact, where the motion has no chatter.
+HOPELESS, HOPELESS_BEFORE = 100.0, 10.0
 #: Largest shift from the assumed release that is tried, s, and the step of the shifts, s.  If the
 #: first contact is later than that, shifts up to the contact are tried.
 _RELEASE_RANGE, _RELEASE_STEP = 3.0, 0.01
+
+
+class HopelessError(Exception):
+    """No values explain the trials until ``after``, s after the contact: the search ends there."""
+
+    def __init__(self, part: Problem, at: Linear, after: float) -> None:
+        super().__init__(at.chi2 / part.rows)
+        self.part, self.at, self.after = part, at, after
 
 
 @dataclass
@@ -245,6 +259,7 @@ def grow(
     minima.  The fit is then repeated from random places near the result of the shorter fit.  If
     that fails, the step of the horizon is halved.  The covariance is None if no fit was made, e.g.
     because no trial shows a contact.  ``keep`` is called with each part and its linear model.
+    HopelessError if chi2 is that of no bench.
     """
     prior = weak_prior(problem, begin)
     stage = _Stage(first_place(problem, begin), None, 0.0, 0)
@@ -259,14 +274,19 @@ def grow(
             del waiting[0]
             continue
         part = problem.until(ends)
-        ended = _stage_fit(part, stage, prior, spare, rng, keep)
+        ended = _stage_fit(part, stage, prior, spare, rng, keep, is_after=after > 0.0)
         if ended is None:
             break
         is_far = math.isfinite(reached) and after - reached > _MIN_HORIZON_STEP and after > 0.0
-        if spare > 0 and is_far and not ended.explains_more_than(stage):
+        if spare > 0 and is_far and not (ended.is_found_again or ended.explains_more_than(stage)):
             spare -= 1
             waiting.insert(0, 0.5 * (after + reached))
             continue
+        limit = HOPELESS_BEFORE if after < 0.0 else HOPELESS
+        if ended.at is not None and ended.chi2 > limit * part.rows:
+            raise HopelessError(part, ended.at, after)
+        if ended.is_found_again and ended.chi2 > _LOST * part.rows:
+            spare = 0
         stage, reached = ended, after
         del waiting[0]
     return stage.place, stage.covariance
@@ -280,6 +300,8 @@ class _Stage:
     covariance: np.ndarray | None
     chi2: float
     rows: int
+    at: Linear | None = None
+    is_found_again: bool = False  # True if two starts have ended there
 
     def explains_more_than(self, shorter: _Stage) -> bool:
         """Return True if noise explains the increase of chi2 since a shorter fit."""
@@ -296,11 +318,13 @@ def _stage_fit(
     spare: int,
     rng: np.random.Generator,
     keep: Callable[[Problem, Linear], None],
+    *,
+    is_after: bool,
 ) -> _Stage | None:
     """Return an early fit that starts from the result of a shorter one, or from places near it.
 
     The result is the first fit that explains the added measurements, or the best of all.  None if
-    no start can be simulated.
+    no start can be simulated.  ``is_after``: the fit goes beyond the first contact.
     """
     best: _Stage | None = None
     starts = [stage.place]
@@ -319,15 +343,21 @@ def _stage_fit(
             prior,
             stage.covariance,
             enough=_ENOUGH_EARLY,
-            most=_STEPS_EARLY,
+            most=_STEPS_EARLY if is_after else _STEPS,
             keep=partial(keep, part),
         )
         if search is None:
             continue
         at = search.linear
-        if best is None or at.chi2 < best.chi2:
-            best = _Stage(at.place, step_covariance(at, part), at.chi2, part.rows)
-        if best.explains_more_than(stage):
+        ended = _Stage(at.place, step_covariance(at, part), at.chi2, part.rows, at)
+        if best is None:
+            best = ended
+        else:
+            left = min(best.chi2, ended.chi2) - stage.chi2 - (part.rows - stage.rows)
+            is_same = abs(ended.chi2 - best.chi2) < _SAME * left
+            best = min(best, ended, key=lambda each: each.chi2)
+            best.is_found_again = is_same
+        if best.is_found_again or best.explains_more_than(stage):
             break
     return best
 
@@ -341,12 +371,12 @@ def restart(
     found: EndedSearch,
     rng: np.random.Generator,
     count: int = RESTARTS,
-    report: Callable[[str], None] = lambda stage: None,
+    enough: float = _ENOUGH,
 ) -> Found:
     """Search again from random places near the best place, and return the best search of all.
 
     It ends when ``count`` successive restarts have found no better place, or after ten restarts.
-    ``report`` is called with the name of each restart.
+    A search ends if the predicted decrease of chi2 is below ``enough``.
     """
     prior = problem.weighed()
     best = found
@@ -354,7 +384,6 @@ def restart(
     since_best, tried = 0, 0
     while since_best < count and tried < (_MAX_RESTARTS if count else 0):
         tried += 1
-        report(f"restart {tried}")
         at = best.linear
         covariance = step_covariance(at, problem)
         values, vectors = np.linalg.eigh(covariance)
@@ -367,7 +396,7 @@ def restart(
                 break
         else:
             continue
-        again = descend(problem, start, prior, covariance)
+        again = descend(problem, start, prior, covariance, enough=enough)
         if again is None:
             continue
         ends.append(again)

@@ -29,7 +29,8 @@ from capture_sim.studies.calibration.parameters import (
 )
 
 #: Standard uncertainties of the sensors' errors that are held by default, SI: no marker frame is
-#: exactly the body's, no encoder exactly in step with the cameras, and no gain exactly 1.
+#: exactly the body's, no encoder exactly in step with the cameras, no gain exactly 1, and no zero
+#: that is read from noise exactly 0.
 SENSORS: Mapping[str, float] = {
     **{
         name: 1e-3 if name.endswith("theta") else 5e-4
@@ -38,6 +39,9 @@ SENSORS: Mapping[str, float] = {
     },
     "delay.buffer": 3e-3,
     **dict.fromkeys(("scale.stroke", "scale.torsion"), 1e-2),
+    "scale.force": 2e-2,
+    "offset.stroke": 2e-5,
+    "offset.torsion": 1e-4,
 }
 #: Default standard uncertainties: shares of the value, and SI values, by path.  The radii of tip
 #: and BE are not among them: a bench of which they are equal works only if they are exact.
@@ -69,16 +73,24 @@ class Held:
 
 
 def uncertainties(
-    scene: Scene, fitted: Collection[str], given: Mapping[str, str | float] | None = None
+    scene: Scene,
+    fitted: Collection[str],
+    given: Mapping[str, str | float] | None = None,
+    sensors: Collection[str] | None = None,
 ) -> dict[str, float]:
     """Return the standard uncertainty (SI, above 0) of each held field of a scene, by path.
 
     ``fitted``: paths, and names of sensors' errors, that are fitted.  ``given``: uncertainties in
     place of the defaults, as a text (``"0.02 mrad"``, ``"0.5 %"``) or SI; 0 for a value that is
-    exact.  SceneError if one is no such number, if its field is fitted, or if the scene has no such
-    field.
+    exact.  ``sensors``: names of the quantities that are measured; None for all.  SceneError if one
+    is no such number, if its field is fitted, or if the scene has no such field.
     """
-    found = {name: error for name, error in SENSORS.items() if name not in fitted}
+    found = {
+        name: error
+        for name, error in SENSORS.items()
+        if name not in fitted
+        and (sensors is None or set(SENSOR_ERRORS[name].channel) & set(sensors))
+    }
     for path in (*SHARES, *SIZES):
         value = number_at(scene, path)
         if value is not None and path not in fitted:

@@ -74,6 +74,9 @@ SENSOR_ERRORS: Mapping[str, SensorError] = {
     "scale.target": SensorError(
         ("target",), "scale", 1.0, 1e-2, "1", "the target's path is measured by this factor"
     ),
+    "scale.force": SensorError(
+        ("force",), "scale", 1.0, 1e-2, "1", "the load cell reads by this factor"
+    ),
     "offset.stroke": SensorError(
         ("stroke",), "offset", 0.0, 1e-4, "m", "the stroke's sensor reads this much at rest"
     ),

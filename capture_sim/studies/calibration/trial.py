@@ -26,6 +26,7 @@ from capture_sim.run.touches import Touches
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import with_values
 from capture_sim.studies.calibration.frame import NO_FRAME, Frame, in_frame_of_scene
+from capture_sim.studies.calibration.impulse import Impulse, impulse_of
 from capture_sim.studies.calibration.parameters import SENSOR_ERRORS
 
 #: Numbers of a trial: pose of the target relative to the chaser, common pose, and release.
@@ -68,6 +69,7 @@ class SimulatedMotion(NamedTuple):
     values: tuple[np.ndarray, ...]  # (n, m) of each channel
     rates: tuple[np.ndarray, ...]  # (n, m) of each; zero before the release
     touches: np.ndarray  # (k,) of dtype TOUCH, by start
+    impulse: np.ndarray = np.zeros(2)  # N s, of the trial's ``impulse``
 
 
 @dataclass(frozen=True)
@@ -83,21 +85,34 @@ class FittedTrial:
     is_release_fitted: bool
     touches: Touches | None = None
     frame: Frame = NO_FRAME  # what brought the poses into the scene's frame
+    impulse: Impulse | None = None  # of the contact, where its touches are not resolved
 
     @property
     def size(self) -> int:
-        """Number of residuals: measured values, and two of each touch."""
-        return sum(channel.values.size for channel in self.channels) + self.touch_rows
+        """Number of residuals: measured values, and those of the force."""
+        return sum(channel.values.size for channel in self.channels) + self.force_rows
+
+    @property
+    def sensors(self) -> set[str]:
+        """Names of the quantities that are measured, with ``force`` if it is used."""
+        return {channel.name for channel in self.channels} | (
+            {"force"} if self.force_rows else set()
+        )
 
     @property
     def touch_rows(self) -> int:
         """Number of residuals of touches, two of each: time and strength."""
         return 0 if self.touches is None else 2 * self.touches.start.size
 
+    @property
+    def force_rows(self) -> int:
+        """Number of residuals of the force: those of touches, then two of the impulse."""
+        return self.touch_rows + (0 if self.impulse is None else 2)
+
     def until(self, t: float) -> FittedTrial:
         """Return the trial with the measurements up to a time, s.
 
-        Unless that is the whole trial, its touches are left out.
+        Unless that is the whole trial, what its force shows is left out.
         """
         if t >= self.end:
             return self
@@ -105,7 +120,7 @@ class FittedTrial:
             channel._replace(t=channel.t[channel.t <= t], values=channel.values[channel.t <= t])
             for channel in self.channels
         )
-        return dataclasses.replace(self, channels=kept, touches=None)
+        return dataclasses.replace(self, channels=kept, touches=None, impulse=None)
 
     def with_noise(self, sigma: Mapping[str, np.ndarray]) -> FittedTrial:
         """Return the trial with other standard deviations of the noise, (m,) by channel, SI.
@@ -120,6 +135,7 @@ def trial_of(
     run: Run,
     *,
     touches: Touches | None = None,
+    has_impulse: bool = False,
     until: float = math.inf,
     is_release_fitted: bool = True,
 ) -> FittedTrial:
@@ -131,6 +147,8 @@ def trial_of(
         The measured run.
     touches
         Its first touches; None to fit without them.
+    has_impulse
+        True to fit the impulse of the contact if there are no touches.
     until
         End of the measurements that are used, s.  They end earlier if the launcher commands the
         driver to hold the chaser again (topic launcher/hold), or if the scene's run is shorter.
@@ -180,6 +198,7 @@ def trial_of(
         is_release_fitted=is_release_fitted,
         touches=touches,
         frame=frame,
+        impulse=impulse_of(run, end) if has_impulse and touches is None else None,
     )
 
 
@@ -309,6 +328,10 @@ def simulate(
         np.maximum(channel.t - release - delay_of(channel.name, sensors), 0.0)
         for channel in trial.channels
     ]
+    window = trial.impulse
+    if window is not None:
+        between = np.array([window.begin, window.end]) - release
+        times.append(np.maximum(between, 0.0))
     grid = np.unique(np.concatenate(times))
     try:
         scene = with_values(scene, {**values, **place})
@@ -324,7 +347,7 @@ def simulate(
     last = len(samples) - 1  # a run that ended earlier stays where it is
     of_channels = []
     rates_of_channels = []
-    for channel, t in zip(trial.channels, times, strict=True):
+    for channel, t in zip(trial.channels, times, strict=False):
         index = np.minimum(np.searchsorted(grid, t), last)
         moving = (t > 0.0)[:, None]
         at, rate = _seen(channel.name, q[index], v[index])
@@ -334,7 +357,12 @@ def simulate(
         rates_of_channels.append(rate * moving)
     touches = bench.touches
     touches = touches[np.argsort(touches["start"], kind="stable")]
-    return SimulatedMotion(tuple(of_channels), tuple(rates_of_channels), touches)
+    impulse = np.zeros(2)
+    if window is not None:
+        inside = (grid >= times[-1][0]) & (grid <= times[-1][1])
+        index = np.minimum(np.flatnonzero(inside), last)
+        impulse = window.of_samples(samples[index], grid[inside], scene)
+    return SimulatedMotion(tuple(of_channels), tuple(rates_of_channels), touches, impulse)
 
 
 def _seen(name: str, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -363,6 +391,7 @@ class View(NamedTuple):
     values: tuple[np.ndarray, ...]  # (n, m) of each channel
     rates: tuple[np.ndarray, ...]  # (n, m), derivatives by time
     turning: tuple[np.ndarray, ...]  # (n, m), derivatives by a common rotation
+    gain: float = 1.0  # of the force's sensor
 
 
 def view(
@@ -407,7 +436,7 @@ def view(
         moved.append(placed)
         rates.append(speed)
         turning.append(turned)
-    return View(tuple(moved), tuple(rates), tuple(turning))
+    return View(tuple(moved), tuple(rates), tuple(turning), sensors.get("scale.force", 1.0))
 
 
 def _axes_of(heading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -421,19 +450,24 @@ def residuals(
 ) -> np.ndarray:
     """Return the residuals (n,): measured minus simulated values, in units of the noise.
 
-    Those of the touches come last.  ``release`` is in s.
+    Those of the force come last.  ``release`` is in s.
     """
     parts = [
         ((channel.values - values) / channel.sigma).ravel()
         for channel, values in zip(trial.channels, seen.values, strict=True)
     ]
-    return np.concatenate([*parts, _touch_residuals(trial, motion, release)])
+    return np.concatenate([*parts, *_force_residuals(trial, motion, release, seen.gain)])
 
 
-def _touch_residuals(trial: FittedTrial, motion: SimulatedMotion, release: float) -> np.ndarray:
-    touches = trial.touches
+def _force_residuals(
+    trial: FittedTrial, motion: SimulatedMotion, release: float, gain: float
+) -> list[np.ndarray]:
+    """Return the residuals of times and strengths of the touches, and of the impulse."""
+    touches, whole = trial.touches, trial.impulse
+    if whole is not None:
+        return [(whole.value - gain * motion.impulse) / whole.sigma]
     if touches is None:
-        return np.zeros(0)
+        return []
     met = motion.touches[motion.touches["peak_force"] >= touches.threshold]
     n, count = min(touches.start.size, met.size), touches.start.size
     late, strength = np.full(count, MISSING), np.full(count, MISSING)
@@ -443,8 +477,9 @@ def _touch_residuals(trial: FittedTrial, motion: SimulatedMotion, release: float
     late[:n] = off / touches.start_noise
     expected = met["impulse" if touches.strength == "impulse" else "peak_force"][:n]
     measured = getattr(touches, touches.strength)[:n]
-    strength[:n] = (measured - expected) / touches.strength_noise[:n]
-    return np.concatenate([late, strength])
+    gain = gain if touches.spacing > 0.0 else 1.0  # peaks that are counted are no sensor's
+    strength[:n] = (measured - gain * expected) / touches.strength_noise[:n]
+    return [late, strength]
 
 
 def exact_columns(trial: FittedTrial, seen: View) -> np.ndarray:
@@ -465,9 +500,9 @@ def exact_columns(trial: FittedTrial, seen: View) -> np.ndarray:
                 else:
                     change[:, k] = 1.0
             parts.append((-change * OWN_SIZE[RELATIVE + k] / channel.sigma).ravel())
-        touch = np.zeros(trial.touch_rows)
+        touch = np.zeros(trial.force_rows)
         if k == 3 and trial.touches is not None and trial.touches.is_delay_known:
-            touch[: touch.size // 2] = -OWN_SIZE[-1] / trial.touches.start_noise
+            touch[: trial.touch_rows // 2] = -OWN_SIZE[-1] / trial.touches.start_noise
         columns.append(np.concatenate([*parts, touch]))
     return np.stack(columns, axis=1)
 
@@ -496,4 +531,9 @@ def sensor_column(trial: FittedTrial, motion: SimulatedMotion, seen: View, name:
             else:
                 change = at
         parts.append((-change / channel.sigma).ravel())
-    return np.concatenate([*parts, np.zeros(trial.touch_rows)])
+    by_force = np.zeros(trial.force_rows)
+    if "force" in error.channel:
+        # the residuals are straight in the gain
+        gained = [_force_residuals(trial, motion, 0.0, gain) for gain in (1.0, 0.0)]
+        by_force = np.subtract(*map(np.concatenate, gained)) if trial.force_rows else by_force
+    return np.concatenate([*parts, by_force])
