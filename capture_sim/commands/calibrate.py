@@ -7,8 +7,9 @@ import dataclasses
 import hashlib
 import math
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from capture_sim.base.exit_status import FAILED, INTERRUPTED, OK
 from capture_sim.base.files import write_text
@@ -49,6 +50,7 @@ from capture_sim.studies.calibration.calibrate import (
     predicted,
 )
 from capture_sim.studies.calibration.candidates import NAMED
+from capture_sim.studies.calibration.checks import ALARM_BLOCKS, PHASES, neighbours
 from capture_sim.studies.calibration.descent import RESTARTS
 from capture_sim.studies.calibration.files import JSON, SCENE, as_data, scene_text
 from capture_sim.studies.calibration.parameters import (
@@ -215,10 +217,10 @@ def run(options: argparse.Namespace) -> int:
             touches=options.touches,
             profile=options.profile,
             seed=options.seed,
-            report=partial(progress.at, "calibrate"),
+            report=lambda done, _: progress.at("calibrate", done, None),
             executor=executor,
         )
-    is_unfinished = any(finding.kind == "unfinished" for finding in found.findings)
+    is_unfinished = unfinished(found)
     if to_come is not None and not is_unfinished:
         prediction = predicted(found, to_come, placement, seed=options.seed)
         found = dataclasses.replace(found, prediction=prediction)
@@ -228,6 +230,11 @@ def run(options: argparse.Namespace) -> int:
     if is_unfinished:
         return INTERRUPTED
     return OK if found.is_usable else FAILED
+
+
+def unfinished(found: Calibration) -> bool:
+    """Return True if Ctrl-C has ended the fit."""
+    return any(finding.kind == "unfinished" for finding in found.findings)
 
 
 def _to_predict(options: argparse.Namespace) -> Scene | None:
@@ -394,6 +401,50 @@ def _test_lines(found: Calibration) -> list[str]:
     return lines
 
 
+def residual_rows(found: Calibration) -> list[list[str]]:
+    """Return a row for each measured part of each trial, with the columns of RESIDUALS.
+
+    A phase has chi2 of the means over 30 ms per mean, and a star where noise does not explain it.
+    """
+    assert found.problem is not None
+    assert found.linear is not None
+    means = {(b.trial, b.channel, b.part, b.phase): b for b in found.blocks}
+    alike = neighbours(found.linear, found.problem)
+    rows = []
+    for n, trial in enumerate(found.problem.trials):
+        for channel, of_parts in zip(trial.channels, alike[n], strict=True):
+            for part, correlation in enumerate(of_parts):
+                axis = ("x", "y", "theta")[part] if len(of_parts) == 3 else ""
+                row = [Path(trial.name).name, f"{channel.name} {axis}".strip()]
+                for phase in PHASES:
+                    mean = means.get((n, channel.name, part, phase))
+                    star = "*" if mean and mean.p * len(found.blocks) < ALARM_BLOCKS else ""
+                    row.append(f"{mean.statistic / mean.means:.2f}{star}" if mean else "-")
+                rows.append([*row, f"{correlation:+.2f}"])
+    return rows
+
+
+RESIDUALS = ["chi2 per mean", "of", *PHASES, "neighbours"]
+
+
+def left_out_rows(found: Calibration) -> list[list[str]]:
+    """Return a row for each parameter: its change if a trial were left out, in its errors."""
+    off = found.left_out
+    moved = np.divide(off, found.errors, out=np.zeros_like(off), where=found.errors > 0.0)
+    return [[name, *(f"{each:+.1f}" for each in moved[:, k])] for k, name in enumerate(found.names)]
+
+
+def _more_tables(found: Calibration) -> list[Section]:
+    """Return the tables that are too long for the terminal."""
+    heading = "Residuals by trial, part and phase; neighbours: correlation of successive ones"
+    sections = [Section(heading, head=RESIDUALS, rows=residual_rows(found))]
+    if len(found.starts) > 1:
+        head = ["without", *(Path(start.trial).name for start in found.starts)]
+        heading = "Change of each value, in its errors, if one trial were left out"
+        sections.append(Section(heading, head=head, rows=left_out_rows(found)))
+    return sections
+
+
 def _print_prediction(prediction: Prediction) -> None:
     rows = []
     for figure in prediction.figures:
@@ -440,6 +491,9 @@ def _write(
     lines = [table_text(HEAD, parameter_rows(found)), ""]
     lines += [*found.notes, *held_lines(found), *_test_lines(found)]
     lines += verdict_lines(found)
+    tables = [] if unfinished(found) else _more_tables(found)
+    for table in tables:
+        lines += ["", table.name, table_text(table.head, table.rows, left=2)]
     write_text(out / "calibration.txt", "\n".join(lines) + "\n")
     with drawing():
         from capture_sim.viewing.calibration import draw_calibration
@@ -467,7 +521,7 @@ def _write(
             f"Calibration: {scene.name}",
             asked,
             [each for name in pictures if name in _CAPTIONS for each in pictures[name]],
-            shown,
+            [*shown, *tables],
             files=files,
             last=[each for name in pictures if name not in _CAPTIONS for each in pictures[name]],
             scene=scene,

@@ -99,10 +99,11 @@ class Progress:
         if self._bar is not None:
             self._bar.stop()
 
-    def at(self, name: str, done: int, count: int) -> None:
+    def at(self, name: str, done: int, count: int | None) -> None:
         """Show that ``done`` of ``count`` units of a task are done, and the estimated time left.
 
-        Each ``name`` is a task of its own, with its own bar and time.
+        ``count`` is None where it is not known; no time is estimated then.  Each ``name`` is a task
+        of its own, with its own bar and time.
         """
         now = time.monotonic()
         began, before = self._began.setdefault(name, (now, done))
@@ -115,8 +116,10 @@ class Progress:
             self._bar.update(self._tasks[name], completed=done, total=count, rate=rate)
         elif speed and now - self._said > _PAUSE:
             self._said = now
-            left = f"{rate}, about {(count - done) / speed:.0f} s left"
-            print(f"{name}: {done} of {count} {self._unit}, {left}", file=sys.stderr, flush=True)
+            of, left = "", ""
+            if count is not None:
+                of, left = f" of {count}", f", about {(count - done) / speed:.0f} s left"
+            print(f"{name}: {done}{of} {self._unit}, {rate}{left}", file=sys.stderr, flush=True)
 
 
 #: What a command gives for ``--json``.

@@ -34,6 +34,10 @@ def test_its_scene_runs_and_its_numbers_are_read_again(trials, tmp_path, capfd):
     assert "found: all tests passed" in printed
     assert "c_rr: chi2 rises by " in printed
     assert "c_rr: chi2 rises by " in (out / "calibration.html").read_text(encoding="utf-8")
+    text = (out / "calibration.txt").read_text(encoding="utf-8")
+    for table in ("Residuals by trial, part and phase", "if one trial were left out"):
+        assert table in text
+        assert table in (out / "calibration.html").read_text(encoding="utf-8")
     found = json.loads((out / "calibration.json").read_text(encoding="utf-8"))
     assert found["findings"] == []
     assert [profile["name"] for profile in found["profiles"]] == ["c_rr"]

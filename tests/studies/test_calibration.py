@@ -12,7 +12,7 @@ import pytest
 from measured_trials import NOISE, measured_trial, short_scene
 
 import capture_sim
-from capture_sim.commands.calibrate import held_lines
+from capture_sim.commands.calibrate import held_lines, left_out_rows, residual_rows
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.run.frames import Table
 from capture_sim.run.series import Series
@@ -69,7 +69,7 @@ def two_trials(first=0, true=TRUE, **more):
 def test_two_trials_give_their_parameters_back():
     found = calibrate(two_trials(shift=(1e-3, 8e-4, 4e-3)), NAMES)
     assert found.is_found, found.findings
-    assert len(found.restarts) == 4  # each was simulated, and came back
+    assert len(found.restarts) == 2  # each was simulated, and came back
     assert [text.get_text() for text in found.plot().axes[0].get_yticklabels()] == list(NAMES)
     assert np.abs((found.values - VALUES) / found.errors).max() < 4.0
     assert (found.errors / VALUES < (0.03, 0.03, 0.003)).all()
@@ -624,6 +624,28 @@ def test_a_prediction_has_the_held_values():
     for one, other in zip(wide.prediction.figures, narrow.prediction.figures, strict=True):
         assert one.spread > 0.5 * other.spread
     assert wide.prediction.failed == 0
+
+
+def test_what_a_trial_moves_is_what_a_fit_without_it_gives():
+    """The linear model against fits of the trials that are left."""
+    trials = [*two_trials(), measured_trial(short_scene(-0.12), TRUE, 7, name="trial 2")]
+    found = calibrate(trials, NAMES, restarts=0)
+    for number in (0, 2):
+        others = calibrate([t for k, t in enumerate(trials) if k != number], NAMES, restarts=0)
+        off = (found.left_out[number] - (others.values - found.values)) / found.errors
+        # chi2 is rough, and the noise is estimated anew
+        assert np.abs(off).max() < 1.0
+    rows = residual_rows(found)
+    assert [row[:2] for row in rows[:4]] == [
+        ["trial 0", "chaser x"],
+        ["trial 0", "chaser y"],
+        ["trial 0", "chaser theta"],
+        ["trial 0", "target x"],
+    ]
+    assert len(rows) == 3 * 8
+    assert not any("*" in cell for row in rows for cell in row)
+    assert all(abs(float(row[-1])) < 0.4 for row in rows)
+    assert len(left_out_rows(found)) == len(NAMES)
 
 
 def test_a_path_in_wrong_units_ends_the_search_before_the_contact():

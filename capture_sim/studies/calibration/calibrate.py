@@ -22,9 +22,9 @@ from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import LAUNCH, NO_PHYSICS, expanded, field_names, get, with_values
 from capture_sim.studies.calibration.candidates import NAMED, Score, differing, needed, scores
 from capture_sim.studies.calibration.checks import (
-    AGREEING,
     ALARM_BLOCKS,
     ALARM_TRIALS,
+    AS_LOW,
     LEFT,
     Agreeing,
     BlockMean,
@@ -34,6 +34,7 @@ from capture_sim.studies.calibration.checks import (
     clustered,
     convergence,
     direction_words,
+    left_out,
     trials_agree,
     undetermined,
 )
@@ -89,8 +90,6 @@ TOUCHES, TOUCH_NOISE = 4, (2e-4, 2.0)
 ALIKE = (2e-3, 0.01)
 #: Two parameters are hard to separate if their errors are correlated more than this.
 INSEPARABLE = 0.95
-#: Assumed number of linear fits in a joint fit, for the estimate of its number of simulations.
-_LINEAR_FITS = 50
 #: Largest number of lacking parameters, which are added one at a time, and largest number of
 #: candidates that are tried for each.
 _MAX_ADDED, _MAX_TRIED = 3, 2
@@ -199,6 +198,8 @@ class Calibration:
     prediction: Prediction | None = field(default=None, repr=False)
     problem: Problem | None = field(default=None, repr=False)
     linear: Linear | None = field(default=None, repr=False)
+    #: Covariance (d, d) of the place of ``linear``, with those of the trials' own numbers.
+    whole: np.ndarray | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         """Return the values and whether the fit was found valid, in one line."""
@@ -251,6 +252,16 @@ class Calibration:
         """Correlations (k, k) of the errors."""
         scale = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
         return np.asarray(self.covariance / np.outer(scale, scale))
+
+    @property
+    def left_out(self) -> np.ndarray:
+        """Change (n, k) of the values, SI, if each of n trials were left out; of a linear model."""
+        assert self.problem is not None
+        assert self.linear is not None
+        k = len(self.names)
+        parameters = zip(self.problem.parameters[:k], self.linear.place[:k], strict=True)
+        slopes = [parameter.slope(float(x)) for parameter, x in parameters]
+        return left_out(self.linear, self.problem)[:, :k] * slopes
 
     def fields_of(self, scene: Scene) -> dict[str, float]:
         """Return the values that the fit found for fields of a scene by path, SI.
@@ -326,7 +337,8 @@ def calibrate(
     seed
         Seed of the restarts and of the prediction.
     report
-        Function called with the number of simulations made and the estimated total.
+        Function called with the number of simulations made, and the number after which no further
+        way is tried; most fits need less than half.
     executor
         Executor as in ``concurrent.futures`` for the simulations; None for this process.  The
         result is the same for every executor.
@@ -479,7 +491,7 @@ def predicted(
     """Return the prediction of a calibrated bench for another scene."""
     assert found.problem is not None
     assert found.linear is not None
-    covariance = _covariance(found.linear, found.problem, found.findings)
+    assert found.whole is not None
     # the launch is that of the scene, with the error of a mass that is the same; it may lack a part
     launched_with = found.problem.trials[0].scene
     chosen = [
@@ -497,7 +509,7 @@ def predicted(
         scene,
         [found.problem.parameters[k] for k in chosen],
         found.linear.place[chosen],
-        covariance[np.ix_(chosen, chosen)],
+        found.whole[np.ix_(chosen, chosen)],
         placement,
         seed=seed,
     )
@@ -536,13 +548,13 @@ def _where(run: Run) -> str:
 class _Progress:
     """Counts simulations and reports their number."""
 
-    def __init__(self, expected: int, report: Callable[[int, int], None] | None) -> None:
-        self.done, self.expected, self._report = 0, expected, report
+    def __init__(self, most: int, report: Callable[[int, int], None] | None) -> None:
+        self.done, self.most, self._report = 0, most, report
 
     def __call__(self) -> None:
         self.done += 1
         if self._report is not None:
-            self._report(self.done, max(self.expected, self.done))
+            self._report(self.done, self.most)
 
 
 def fit_trials(
@@ -566,9 +578,7 @@ def fit_trials(
     compile_kernels()
     sensors = [parameter for parameter in held if not parameter.paths]
     joining = [parameter for parameter in held if parameter.paths]
-    counted = _Progress(
-        len(trials) * (2 * len(parameters) + 7) * _LINEAR_FITS * (4 + restarts) // 8, report
-    )
+    counted = _Progress(_MOST_SIMULATIONS * len(trials), report)
     fitted, parameters = len(parameters), [*parameters, *sensors]
     problem = Problem(trials, parameters, tick=counted, executor=executor or InProcess())
     unknown = problem.dimension - len(sensors)
@@ -581,7 +591,7 @@ def fit_trials(
     _check_start(problem, begin)
     fitting = _Fitting(problem, fitted)
     try:
-        fitting.run(begin, restarts, seed)
+        fitting.run(begin, seed)
         if not fitting.joins(joining):
             is_another = restarts > 0 and fitting.begins_elsewhere(begin, seed)
             if not (is_another and fitting.joins(joining)):
@@ -634,7 +644,6 @@ class _Fitting:
         self.latest: tuple[Problem, Linear] | None = None
         self.found: Found | None = None
         self.joined: EndedSearch | None = None  # the search with the held values, if they joined
-        self.has_restarted = False  # True if restarts have tried what was found
         self.is_cut_off = False  # True if they should have joined, but no search had them
         self.whole = problem  # counts the simulations of all others
         self.is_ended_early = False  # True if something was not tried for want of simulations
@@ -647,15 +656,12 @@ class _Fitting:
         self.is_ended_early = self.is_ended_early or not is_left
         return is_left
 
-    def run(self, begin: np.ndarray, restarts: int, seed: int) -> None:
-        """Fit over a growing horizon, then with the noise of the residuals, then with restarts."""
+    def run(self, begin: np.ndarray, seed: int) -> None:
+        """Fit over a growing horizon, then with the noise of the residuals."""
         rng = np.random.default_rng(seed)
         search = self._grown(self.problem, begin, rng)
         search = self._renoised(search)
         self.found = Found(search)
-        if _is_noise(self.problem, search.linear):
-            # without the held values, restarts cost several times less
-            self.found, self.has_restarted = restart(self.problem, search, rng, restarts), True
         self._keep(self.found.best.linear)
 
     def begins_elsewhere(self, begin: np.ndarray, seed: int) -> bool:
@@ -674,20 +680,19 @@ class _Fitting:
         if search.linear.chi2 >= first.linear.chi2:
             self.problem = before
             return False
-        self.found, self.has_restarted = Found(self._renoised(search)), False
+        self.found = Found(self._renoised(search))
         self._keep(self.found.best.linear)
         return True
 
     def confirm(self, restarts: int, seed: int) -> None:
-        """Restart a fit that may count, if no restart has tried it yet."""
+        """Restart a fit that may count."""
         assert self.found is not None
         best = self.joined or self.found.best
-        if self.has_restarted or not _may_count(self.problem, best.linear):
+        if not _may_count(self.problem, best.linear):
             return
-        count = min(restarts, AGREEING) if self.joined else restarts
         rng = np.random.default_rng([seed, 1])
         enough = {"enough": _HELD_ENOUGH} if self.joined else {}
-        self.found = restart(self.problem, best, rng, count, **enough)
+        self.found = restart(self.problem, best, rng, restarts, **enough)
         if self.joined:
             self.joined = self.found.best
         self._keep(self.found.best.linear)
@@ -716,7 +721,7 @@ class _Fitting:
             if tried[2].chi2 >= max(_PROGRESS * at.chi2, min(at.chi2, _BAD * self.problem.rows)):
                 return
             _, self.problem, at = tried
-            self.found, self.has_restarted = Found(EndedSearch(at, 0)), False
+            self.found = Found(EndedSearch(at, 0))
             self._keep(at)
             held = [each for each in held if each is not needy]
             if self.joins(held):
@@ -744,10 +749,14 @@ class _Fitting:
         wider[np.ix_(kept, kept)] = covariance
         # the trials know most of them better than that: with longer steps, touches would be others
         wider[range(k, k + n), range(k, k + n)] = (_HELD_SHARE * prior.error[k : k + n]) ** 2
+        least = math.inf
         for _ in range(_HELD_TRIES):
             search = descend(wide, place, prior, wider, most=_HELD_STEPS, enough=_HELD_ENOUGH)
             if search is None or search.linear.decrease < LEFT:
                 break
+            if search.linear.chi2 > least - _HELD_ENOUGH:
+                break  # the other axes were no better
+            least = search.linear.chi2
             if search.linear.chi2 > _BAD * wide.rows:
                 return False  # they are not why, either
             # the axes of the derivatives were wrong: those of this model are better
@@ -1122,9 +1131,12 @@ def _result(
     values = np.array([p.value(float(x)) for p, x in zip(parameters, at.place[:k], strict=True)])
     known = covariance[:shared_count, :shared_count]
     if k < shared_count:
-        # the search may end before its aim, where chatter is rough
+        # where chatter is rough, a search may end before its aim, and each elsewhere
         aim = _aim(at)
         covariance = covariance + np.outer(aim, aim)
+        as_low = [end.linear.place for end in found.others if end.linear.chi2 < at.chi2 + AS_LOW]
+        for place in as_low:
+            covariance += np.outer(place - at.place, place - at.place) / len(as_low)
     shared = covariance[:k, :k] * np.outer(slopes, slopes)
     errors = np.sqrt(np.maximum(np.diag(shared), 0.0))
     for direction, error in undetermined(at, k):
@@ -1158,6 +1170,7 @@ def _result(
         scene=with_values(first, fields),
         problem=problem,
         linear=at,
+        whole=covariance,
     )
 
 

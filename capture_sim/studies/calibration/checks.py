@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.studies.calibration.descent import Found
-from capture_sim.studies.calibration.joint import UNDETERMINED, Linear, Problem
+from capture_sim.studies.calibration.joint import UNDETERMINED, Linear, Problem, inverse
 from capture_sim.studies.calibration.parameters import Parameter
 from capture_sim.studies.calibration.trial import OWN_SIZE, FittedTrial
 
@@ -32,7 +32,8 @@ ALARM_TRIALS, ALARM_BLOCKS = 1e-4, 1e-3
 #: with chi2 above the best by less than the second number must end nearer to the best than the
 #: third (standard errors); smallest number of restarts that must do so.
 LEFT, AS_LOW, AS_NEAR, AGREEING = 2.0, 4.0, 2.0, 2
-#: Largest distance of the fitted parameters from the aim of the search with the held values.
+#: Largest distance of the fitted parameters from the aim of the search with the held values, and
+#: from the ends of restarts; their errors contain both.
 LEFT_OF_FITTED = 3.0
 #: Standard error, in coordinates, above which a direction of the parameters is not determined.
 VAGUE = 0.5
@@ -191,6 +192,37 @@ def block_means(at: Linear, problem: Problem) -> list[BlockMean]:
     return found
 
 
+def neighbours(at: Linear, problem: Problem) -> list[list[np.ndarray]]:
+    """Return the correlation of successive residuals, (m,) by trial and channel; 0 for noise."""
+    found = []
+    for trial, one in zip(problem.trials, at.shown, strict=True):
+        begin, of_trial = 0, []
+        for channel in trial.channels:
+            size = channel.values.size
+            rows = one.residuals[begin : begin + size].reshape(channel.values.shape)
+            begin += size
+            squares = np.maximum((rows**2).sum(axis=0), 1e-300)
+            of_trial.append((rows[1:] * rows[:-1]).sum(axis=0) / squares)
+        found.append(of_trial)
+    return found
+
+
+def left_out(at: Linear, problem: Problem) -> np.ndarray:
+    """Return the change (n, k) of the k shared coordinates if each of n trials were left out.
+
+    It is that of the linear model.  The prior of weighed and held values stays.
+    """
+    k = problem.shared
+    parts = [reduced(at, number, k) for number in range(len(problem.trials))]
+    prior = problem.weighed()
+    weight = prior.weight[:k]
+    off = np.where(weight > 0.0, at.place[:k] - np.where(weight > 0.0, prior.centre[:k], 0.0), 0.0)
+    H = sum((part.hessian for part in parts), np.diag(weight))
+    g = sum((part.gradient for part in parts), weight * off)
+    best = -inverse(H) @ g
+    return np.array([-inverse(H - p.hessian) @ (g - p.gradient) - best for p in parts])
+
+
 def clustered(at: Linear, problem: Problem) -> np.ndarray:
     """Return the covariance (d, d) of a place whose residuals are correlated in a way not known.
 
@@ -284,8 +316,9 @@ def convergence(found: Found, left: float | None = None) -> tuple[str, int]:
     the aim of a search in which held values have joined, in its standard errors, which contain the
     distance; None if none have.
     """
-    agreeing = sum(higher < AS_LOW and apart < AS_NEAR for higher, apart in found.restarts)
-    other = [apart for higher, apart in found.restarts if higher < AS_LOW and apart >= AS_NEAR]
+    near = AS_NEAR if left is None else LEFT_OF_FITTED
+    agreeing = sum(higher < AS_LOW and apart < near for higher, apart in found.restarts)
+    other = [apart for higher, apart in found.restarts if higher < AS_LOW and apart >= near]
     if left is not None and left > LEFT_OF_FITTED:
         text = f"with the held values, the search ended {left:.2g} standard errors from its aim"
         return text, agreeing

@@ -52,7 +52,7 @@ _AWAY = 1.5
 #: moves quite differently if chi2 is higher by more than ``_USABLE`` per parameter.
 _NEARER, _USABLE = (1.0, 0.5, 0.25, 0.125), 1000.0
 #: Number of successive restarts that must find no better place, and largest number of restarts.
-RESTARTS, _MAX_RESTARTS = 4, 10
+RESTARTS, _MAX_RESTARTS = 2, 10
 #: Decrease of chi2 from which the end of a restart counts as a better place.  Kinks of chi2 leave a
 #: roughness of about one unit.
 _BETTER = 0.5
@@ -402,7 +402,7 @@ def restart(
         ends.append(again)
         since_best += 1
         if again.linear.chi2 < best.linear.chi2:
-            if again.linear.chi2 < best.linear.chi2 - _BETTER:
+            if again.linear.chi2 < best.linear.chi2 - max(_BETTER, enough):
                 since_best = 0
             best = again
     ends = [found, *ends]
