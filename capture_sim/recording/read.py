@@ -38,13 +38,14 @@ from capture_sim.run.run import ExactRun, MeasuredRun, Run
 from capture_sim.run.series import SeriesBySource
 from capture_sim.run.verdict import LiveConditions, Received
 from capture_sim.scene.launch_plan import LaunchPlan
+from capture_sim.scene.loading import as_scene
 from capture_sim.scene.parts import Detector, Scene
 
 
 def read_run(
     path: Path | str,
     *,
-    scene: Scene | None = None,
+    scene: Scene | str | Path | None = None,
     remaps: Mapping[str, str] | None = None,
     release: float | None = None,
     trial: int | None = None,
@@ -56,7 +57,7 @@ def read_run(
     path
         The file or folder.
     scene
-        Scene of the run; None for the recorded one.
+        Scene of the run, its name or its file; None for the recorded one.
     remaps
         Recorded names of topics by the bench's names, e.g.
         ``{"chaser/odom": "/mocap/rb1/odom"}``, in addition to those that the recorder has noted.
@@ -78,7 +79,7 @@ def read_run(
         The file cannot be read, is of another kind or contains several runs, a topic of
         ``remaps`` is not in it, or ``release`` is outside of it.
     SceneError
-        The recorded scene is invalid in this version.
+        The recorded scene is invalid in this version, or there is no such scene.
 
     Examples
     --------
@@ -93,7 +94,8 @@ def read_run(
     ...     read.verdict, read.samples.tobytes() == made.samples.tobytes()
     ('captured', True)
     """
-    return run_of(read_bag(path, remaps=remaps, release=release, trial=trial), scene)
+    known = None if scene is None else as_scene(scene)
+    return run_of(read_bag(path, remaps=remaps, release=release, trial=trial), known)
 
 
 def run_of(bag: Bag, scene: Scene | None = None) -> Run:

@@ -26,8 +26,8 @@ from capture_sim.run.lazy import LazyMapping
 from capture_sim.run.run import Check, ExactRun, Run
 from capture_sim.run.sensors import sensor_series
 from capture_sim.run.series import QUANTITIES, STATE, Series, SeriesBySource, series_in
-from capture_sim.scene.files import Overrides, has_overrides
-from capture_sim.scene.loading import change_scene, load_scene
+from capture_sim.scene.files import Overrides
+from capture_sim.scene.loading import as_scene
 from capture_sim.scene.parts import RunSettings, Scene
 from capture_sim.scene.quantities import replaced
 
@@ -103,10 +103,7 @@ def simulate(
     >>> round(1e3 * run.loads["max_axial_stroke_in_before_latch"], 2)  # mm
     4.92
     """
-    if not isinstance(scene, Scene):
-        scene = load_scene(scene, overrides)
-    elif has_overrides(overrides):
-        scene = change_scene(scene, overrides)
+    scene = as_scene(scene, overrides)
     run = scene.run
     changes = {"t_end": t_end, "rtol": rtol, "trace": trace or None}
     if changes := {name: value for name, value in changes.items() if value is not None}:

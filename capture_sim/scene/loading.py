@@ -177,6 +177,16 @@ def load_scene_text(text: str, overrides: Overrides = (), *, only_known: bool = 
     return _changed(known_fields(data) if only_known else data, items)
 
 
+def as_scene(scene: Scene | str | Path, overrides: Overrides = ()) -> Scene:
+    """Return a scene that is given by itself, its name or its file, with changed values.
+
+    ``overrides`` and errors are those of :func:`load_scene`.
+    """
+    if not isinstance(scene, Scene):
+        return load_scene(scene, overrides)
+    return change_scene(scene, overrides) if has_overrides(overrides) else scene
+
+
 def change_scene(scene: Scene, overrides: Overrides) -> Scene:
     """Return a checked scene with changed values, which its title then lists.
 

@@ -22,11 +22,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from capture_sim.base.notebook import drawn, html_table
+from capture_sim.scene.loading import as_scene
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.candidates import Archive, Candidate, Evaluator, Requirements, costs_of
 from capture_sim.studies.executors import InProcess
@@ -132,7 +134,7 @@ class Design:
 
 
 def design_buffer(
-    scene: Scene,
+    scene: Scene | str | Path,
     requirements: Requirements,
     free: Sequence[str] = FREE,
     *,
@@ -149,8 +151,8 @@ def design_buffer(
     Parameters
     ----------
     scene
-        Scene with vehicles, cone, contact and approach.  Its own buffer is compared with the front.
-        The search also starts from this buffer if it is within the ranges.
+        Scene with vehicles, cone, contact and approach, its name or its file.  Its own buffer is
+        compared with the front.  The search also starts from it if it is within the ranges.
     requirements
         Objectives, limits, and the dispersions with which the limits must be kept.
     free
@@ -188,6 +190,7 @@ def design_buffer(
         pymoo is not installed.
     """
     require_pymoo()
+    scene = as_scene(scene)
     variables = make_variables(scene, requirements.limits, free)
     budget = candidates or default_candidates(requirements)
     search = DesignSearch(

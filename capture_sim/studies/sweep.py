@@ -30,7 +30,7 @@ from capture_sim.run.loads import LOADS, loads_of
 from capture_sim.scene import paths
 from capture_sim.scene.approach import APPROACH, Approach, approach_of, placed, with_approach
 from capture_sim.scene.files import Overrides
-from capture_sim.scene.loading import change_scene, load_scene
+from capture_sim.scene.loading import as_scene
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.axes import Axis, declaration_of, make_axis
 from capture_sim.studies.executors import answers, open_executor
@@ -179,10 +179,7 @@ def sweep(
     >>> table["verdict"].tolist()
     ['captured', 'captured', 'captured']
     """
-    if not isinstance(scene, Scene):
-        scene = load_scene(scene, overrides)
-    elif overrides:
-        scene = change_scene(scene, overrides)
+    scene = as_scene(scene, overrides)
     scene = at_tolerance(scene, overrides, rtol)
     samples = samples_of(
         scene, vary, runs, sample, seed, edges, correlations, is_flown=bool(control)

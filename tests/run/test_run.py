@@ -151,3 +151,14 @@ def test_the_energy_residual_of_a_call_and_of_a_sweep_is_one_number():
     table = capture_sim.sweep("tilt_0", {"buffer.c_A": [7.0]}, executor=InProcess())
     run = simulate("tilt_0", {"buffer.c_A": 7.0}, rtol=RTOL)  # the default of a sweep
     assert table["energy_residual"].tolist() == [run.summary["energy_residual"]]
+
+
+def test_a_scene_may_be_given_by_its_name_wherever_one_is(tmp_path):
+    """``read_run(path, scene="tilt_0")`` ended in an AttributeError far from the call."""
+    path = write_run(capture_sim.simulate("tilt_0", {"run.t_end": 1.0}), tmp_path / "run.mcap")
+    for scene in ("tilt_0", capture_sim.load_scene("tilt_0")):
+        assert capture_sim.read_run(path, scene=scene).scene.name == "tilt_0"
+    with pytest.raises(SceneError, match="tilt_7"):
+        capture_sim.read_run(path, scene="tilt_7")
+    with pytest.raises(SceneError, match="tilt_7"):
+        capture_sim.calibrate([capture_sim.read_run(path)], ["c_rr"], predict="tilt_7")

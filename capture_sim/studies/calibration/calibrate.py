@@ -18,6 +18,7 @@ from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.errors import SceneError, SimulationError
 from capture_sim.run.run import Run, checked
 from capture_sim.run.touches import Touches
+from capture_sim.scene.loading import as_scene
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import LAUNCH, NO_PHYSICS, expanded, field_names, get, with_values
 from capture_sim.studies.calibration.candidates import NAMED, Score, differing, needed, scores
@@ -287,7 +288,7 @@ def calibrate(
     *,
     weighed: Mapping[str, str | Weighed] | None = None,
     uncertain: Mapping[str, str | float] | None = None,
-    predict: Scene | None = None,
+    predict: Scene | str | Path | None = None,
     placement: str | Placement | None = None,
     until: float = math.inf,
     restarts: int = RESTARTS,
@@ -321,7 +322,7 @@ def calibrate(
         defaults of :mod:`capture_sim.studies.calibration.held`, e.g.
         ``{"floor.tilt_x": "0.02 mrad"}``; 0 for a value that is exact.
     predict
-        Scene of a future trial; the result then contains its ``prediction``.
+        Scene of a future trial, its name or its file; the result then contains its ``prediction``.
     placement
         Standard deviations of the placement in the future trial, e.g. ``"0.2 mm, 1 mrad"``.
     until
@@ -370,6 +371,7 @@ def calibrate(
     """
     if not trials:
         raise SceneError("trials: must be one run or more")
+    coming = None if predict is None else as_scene(predict)
     trials = [run.replaced(series=checked(run).series) for run in trials]
     scene = trials[0].scene
     for run in trials[1:]:
@@ -408,8 +410,8 @@ def calibrate(
         held=held_parameters(scenes, uncertainties(scenes[0], fitted, uncertain, sensors)),
         executor=executor,
     )
-    if predict is not None:
-        found = dataclasses.replace(found, prediction=predicted(found, predict, placed, seed=seed))
+    if coming is not None:
+        found = dataclasses.replace(found, prediction=predicted(found, coming, placed, seed=seed))
     if not any(finding.kind == "unfinished" for finding in found.findings):
         try:
             found = dataclasses.replace(found, profiles=_profiles(found, profile))
