@@ -41,9 +41,10 @@ from capture_sim.run.series import Series, series_in
 from capture_sim.scene.launch_plan import plan_launch
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import expanded, get, with_values
-from capture_sim.studies.calibration.calibrate import Calibration, calibrate
+from capture_sim.studies.calibration.calibrate import calibrate
 from capture_sim.studies.calibration.held import uncertainties
 from capture_sim.studies.calibration.parameters import SENSOR_ERRORS
+from capture_sim.studies.calibration.result import Calibration
 from capture_sim.studies.calibration.trial import launched
 
 TRIALS = ("tilt_0", "tilt_p10", "tilt_m10")

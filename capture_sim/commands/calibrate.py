@@ -42,13 +42,7 @@ from capture_sim.run.run import Run
 from capture_sim.scene.files import scene_names
 from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.calibration.calibrate import (
-    INSEPARABLE,
-    TOUCHES,
-    Calibration,
-    calibrate,
-    predicted,
-)
+from capture_sim.studies.calibration.calibrate import TOUCHES, calibrate, predicted
 from capture_sim.studies.calibration.candidates import NAMED
 from capture_sim.studies.calibration.checks import ALARM_BLOCKS, PHASES, neighbours
 from capture_sim.studies.calibration.descent import RESTARTS
@@ -64,6 +58,7 @@ from capture_sim.studies.calibration.prediction import (
     read_placement,
     shown_figure,
 )
+from capture_sim.studies.calibration.result import INSEPARABLE, Calibration
 from capture_sim.studies.calibration.trial import launched
 from capture_sim.studies.executors import open_executor
 

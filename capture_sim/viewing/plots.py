@@ -100,7 +100,7 @@ def _of_study(what: Any) -> Figure | None:
     """Return the main figure of a scene or the result of a study; None of anything else."""
     if isinstance(what, Run):
         return None  # before the studies are loaded
-    from capture_sim.studies.calibration.calibrate import Calibration
+    from capture_sim.studies.calibration.result import Calibration
     from capture_sim.studies.design import Design
     from capture_sim.viewing.calibration import draw_calibration
     from capture_sim.viewing.design import draw_design

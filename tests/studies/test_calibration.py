@@ -19,21 +19,16 @@ from capture_sim.run.series import Series
 from capture_sim.run.touches import located
 from capture_sim.scene.loading import load_scene, load_scene_text
 from capture_sim.scene.paths import changed, expanded, get
-from capture_sim.studies.calibration.calibrate import (
-    Lacking,
-    _fit_with,
-    calibrate,
-    fit_trials,
-    lacking_text,
-    predicted,
-)
+from capture_sim.studies.calibration.calibrate import calibrate, predicted
 from capture_sim.studies.calibration.candidates import FIELDS, NAMED, Score, needed, possible
 from capture_sim.studies.calibration.checks import clustered, convergence, direction_words
 from capture_sim.studies.calibration.descent import EndedSearch, Found
 from capture_sim.studies.calibration.files import as_data, read_calibrated, scene_text
+from capture_sim.studies.calibration.fitting import fit_trials
 from capture_sim.studies.calibration.frame import NO_FRAME, Frame, in_frame_of_scene
 from capture_sim.studies.calibration.held import held_parameters, uncertainties
 from capture_sim.studies.calibration.joint import Linear, Problem, inverse
+from capture_sim.studies.calibration.lacking import lacking_text, names_with
 from capture_sim.studies.calibration.new_trial import agreement_of
 from capture_sim.studies.calibration.parameters import (
     SENSOR_ERRORS,
@@ -42,6 +37,7 @@ from capture_sim.studies.calibration.parameters import (
     read_weighed,
 )
 from capture_sim.studies.calibration.prediction import Placement, read_placement
+from capture_sim.studies.calibration.result import Lacking, result_of
 from capture_sim.studies.calibration.trial import (
     hold_after_release,
     residuals,
@@ -145,7 +141,7 @@ def test_what_is_advised_can_be_carried_out(name):
     """Also if the scene leaves the value to be computed, or a short name has been fitted."""
     scene = load_scene("tilt_0")
     parameters = parameters_of(scene, (*NAMES, "c_rr"))
-    again = parameters_of(scene, _fit_with(name, parameters))
+    again = parameters_of(scene, names_with(name, parameters))
     paths = {path for parameter in again for path in parameter.paths}
     assert paths == {path for p in parameters for path in p.paths} | set(expanded(name))
 
@@ -626,6 +622,20 @@ def test_a_prediction_has_the_held_values():
     assert wide.prediction.failed == 0
 
 
+def test_errors_contain_where_restarts_end():
+    """In the roughness of chi2 the end of a search is as uncertain as where others end."""
+    found = calibrate(two_trials(), NAMES, restarts=0)
+    at, k = found.linear, len(NAMES)
+    off = np.zeros(at.place.size)
+    off[0] = 3.0 * found.errors[0] / abs(found.problem.parameters[0].slope(float(at.place[0])))
+    there = EndedSearch(dataclasses.replace(at, place=at.place + off), 0)
+    higher = EndedSearch(dataclasses.replace(at, place=at.place - 9.0 * off, chi2=at.chi2 + 9.0), 0)
+    both = Found(EndedSearch(at, 0), others=[there, higher])
+    wider = result_of(found.problem, both, [], fitted=k).errors / found.errors
+    assert wider[0] == pytest.approx(math.sqrt(10.0))
+    assert wider[1:] == pytest.approx(np.ones(k - 1))
+
+
 def test_what_a_trial_moves_is_what_a_fit_without_it_gives():
     """The linear model against fits of the trials that are left."""
     trials = [*two_trials(), measured_trial(short_scene(-0.12), TRUE, 7, name="trial 2")]
@@ -664,7 +674,7 @@ def test_a_path_in_wrong_units_ends_the_search_before_the_contact():
 def test_a_fit_that_has_had_its_simulations_tries_no_further_way(monkeypatch):
     """Else a bench that lacks several things is searched without an end."""
     trials = two_trials(true={"friction.mu": 0.27, "buffer.friction": 0.3})[:1]
-    monkeypatch.setattr("capture_sim.studies.calibration.calibrate._MOST_SIMULATIONS", 50)
+    monkeypatch.setattr("capture_sim.studies.calibration.fitting.MOST_SIMULATIONS", 50)
     found = calibrate(trials, ["mu"], restarts=1)
     assert not found.is_usable
     (text,) = [finding.text for finding in found.findings if finding.kind == "budget"]

@@ -13,7 +13,7 @@ from capture_sim.run.run import Run
 from capture_sim.run.series import Series
 from capture_sim.scene.paths import with_values
 from capture_sim.studies.calibration.calibrate import calibrate
-from capture_sim.studies.calibration.impulse import Impulse, impulse_of
+from capture_sim.studies.calibration.impulse import MeasuredImpulse, impulse_of
 from capture_sim.studies.calibration.trial import simulate, trial_of, view
 
 #: Interval of the dense samples, s, and how long the bench rests before the trial.
@@ -56,7 +56,7 @@ def test_the_impulse_of_a_simulation_is_the_integral_of_its_force():
     sparse = Bench(scene).advance(np.arange(0.0, 0.6, 2e-3))
     begin, end = 0.01, 0.3
     inside = (sparse["t"] >= begin) & (sparse["t"] <= end)
-    found = Impulse(begin, end, np.zeros(2), np.ones(2)).of_samples(
+    found = MeasuredImpulse(begin, end, np.zeros(2), np.ones(2)).of_samples(
         sparse[inside], sparse["t"][inside], scene
     )
     window = (dense["t"] >= sparse["t"][inside][0]) & (dense["t"] <= sparse["t"][inside][-1])

@@ -337,3 +337,27 @@ def convergence(found: Found, left: float | None = None) -> tuple[str, int]:
             agreeing,
         )
     return "", agreeing
+
+
+def block_finding(blocks: Sequence[BlockMean], problem: Problem) -> Finding | None:
+    """Return the finding on the block means of residuals; None if noise explains them."""
+    if not blocks:
+        return None
+    worst = min(blocks, key=lambda block: (block.p, -block.statistic / block.means))
+    if worst.p * len(blocks) >= ALARM_BLOCKS:
+        return None
+    parts = {3: ("x", "y", "theta"), 1: ("",)}
+    trial = problem.trials[worst.trial]
+    width = next(c.values.shape[1] for c in trial.channels if c.name == worst.channel)
+    name = f"{worst.channel} {parts[width][worst.part]}".strip()
+    return Finding(
+        "residuals",
+        f"the residuals are not noise: means over 30 ms of {name} in phase {worst.phase} of "
+        f"{trial.name} have chi2 {worst.statistic:.4g} for {worst.means}",
+        "see what the model lacks, leave the trial out, or start nearer to the bench",
+    )
+
+
+def is_noise(problem: Problem, at: Linear) -> bool:
+    """Return True if noise explains the means of the residuals."""
+    return block_finding(block_means(at, problem), problem) is None

@@ -15,9 +15,9 @@ from capture_sim.errors import SceneError
 from capture_sim.run.origin import scene_origin
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import expanded
-from capture_sim.studies.calibration.calibrate import STARTS, Calibration
 from capture_sim.studies.calibration.parameters import SENSOR_ERRORS, Weighed
 from capture_sim.studies.calibration.prediction import Prediction
+from capture_sim.studies.calibration.result import STARTS, Calibration
 
 #: Kind and version of the file.
 KIND, VERSION = "capture_sim calibration", 1

@@ -33,7 +33,7 @@ _UNRESOLVED = 3e-3
 _KNOWN = 0.2
 
 
-class Impulse(NamedTuple):
+class MeasuredImpulse(NamedTuple):
     """The impulse on the tip by the cone, in the axes that the cone has at ``begin``."""
 
     begin: float  # s since the assumed release
@@ -54,7 +54,7 @@ class Impulse(NamedTuple):
         return _turned(of_floor - gained, -theta[0])
 
 
-def impulse_of(run: Run, end: float) -> Impulse | None:
+def impulse_of(run: Run, end: float) -> MeasuredImpulse | None:
     """Return the impulse of the contact of a measured run; None if it is not known.
 
     ``end``: end of the measurements that are used, s.
@@ -91,7 +91,7 @@ def impulse_of(run: Run, end: float) -> Impulse | None:
     )
     if not np.all(sigma < _KNOWN * np.hypot(*value)):
         return None
-    return Impulse(float(t[first]), float(t[last]), value, sigma)
+    return MeasuredImpulse(float(t[first]), float(t[last]), value, sigma)
 
 
 def _by_floor(v: np.ndarray, theta: np.ndarray, par: np.void) -> np.ndarray:

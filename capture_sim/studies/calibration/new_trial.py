@@ -18,9 +18,9 @@ from capture_sim.errors import SceneError
 from capture_sim.run.run import Run, checked
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import LAUNCH, get, with_values
-from capture_sim.studies.calibration.calibrate import STARTS, Start, fit_trials
 from capture_sim.studies.calibration.checks import block_means, chi2_tail, reduced
 from capture_sim.studies.calibration.files import Calibrated
+from capture_sim.studies.calibration.fitting import fit_trials
 from capture_sim.studies.calibration.frame import Frame
 from capture_sim.studies.calibration.joint import Linear, Problem, inverse
 from capture_sim.studies.calibration.parameters import (
@@ -31,6 +31,7 @@ from capture_sim.studies.calibration.parameters import (
     parameters_of,
 )
 from capture_sim.studies.calibration.prediction import Placement
+from capture_sim.studies.calibration.result import STARTS, Start
 from capture_sim.studies.calibration.trial import trial_of
 
 #: Smallest p-value of a test at which a trial agrees with the calibration.

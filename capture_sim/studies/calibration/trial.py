@@ -26,7 +26,7 @@ from capture_sim.run.touches import Touches
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import with_values
 from capture_sim.studies.calibration.frame import NO_FRAME, Frame, in_frame_of_scene
-from capture_sim.studies.calibration.impulse import Impulse, impulse_of
+from capture_sim.studies.calibration.impulse import MeasuredImpulse, impulse_of
 from capture_sim.studies.calibration.parameters import SENSOR_ERRORS
 
 #: Numbers of a trial: pose of the target relative to the chaser, common pose, and release.
@@ -85,7 +85,7 @@ class FittedTrial:
     is_release_fitted: bool
     touches: Touches | None = None
     frame: Frame = NO_FRAME  # what brought the poses into the scene's frame
-    impulse: Impulse | None = None  # of the contact, where its touches are not resolved
+    impulse: MeasuredImpulse | None = None  # of the contact, where its touches are not resolved
 
     @property
     def size(self) -> int:
