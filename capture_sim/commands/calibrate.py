@@ -365,7 +365,6 @@ def verdict_lines(found: Calibration) -> list[str]:
 
 def _test_lines(found: Calibration) -> list[str]:
     """Return lines with the results of the tests of a fit, to be printed and written to a file."""
-    agreeing = [apart for above, apart in found.restarts if above < 4.0]
     lines = [profile.text for profile in found.profiles]
     lines += [
         f"chi2 {found.reduced_chi2:.4g} per degree of freedom ({found.freedom}), "
@@ -373,8 +372,11 @@ def _test_lines(found: Calibration) -> list[str]:
         f"converged to {found.left:.2g} standard errors",
     ]
     if found.restarts:
-        furthest = f", within {max(agreeing):.2g} standard errors" if agreeing else ""
-        lines[-1] += f"; {len(agreeing)} of {len(found.restarts)} restarts ended there{furthest}"
+        higher, apart = (max(column) for column in zip(*found.restarts, strict=True))
+        lines[-1] += (
+            f"; {len(found.restarts)} restarts ended within {apart:.2g} standard errors of it, with "
+            f"chi2 up to {max(higher, 0.0):.2g} higher"
+        )
     if found.agreement.freedom:
         agreement = found.agreement
         lines.append(

@@ -33,8 +33,9 @@ ALARM_TRIALS, ALARM_BLOCKS = 1e-4, 1e-3
 #: third (standard errors); smallest number of restarts that must do so.
 LEFT, AS_LOW, AS_NEAR, AGREEING = 2.0, 4.0, 2.0, 2
 #: Largest distance of the fitted parameters from the aim of the search with the held values, and
-#: from the ends of restarts; their errors contain both.
-LEFT_OF_FITTED = 3.0
+#: from the ends of restarts; their errors contain both.  Such an end is the same place if chi2 is
+#: higher by less than the second number: 50 and more numbers settle slowly where chi2 is rough.
+LEFT_OF_FITTED, SETTLED = 3.0, 10.0
 #: Standard error, in coordinates, above which a direction of the parameters is not determined.
 VAGUE = 0.5
 
@@ -316,8 +317,8 @@ def convergence(found: Found, left: float | None = None) -> tuple[str, int]:
     the aim of a search in which held values have joined, in its standard errors, which contain the
     distance; None if none have.
     """
-    near = AS_NEAR if left is None else LEFT_OF_FITTED
-    agreeing = sum(higher < AS_LOW and apart < near for higher, apart in found.restarts)
+    near, low = (AS_NEAR, AS_LOW) if left is None else (LEFT_OF_FITTED, SETTLED)
+    agreeing = sum(higher < low and apart < near for higher, apart in found.restarts)
     other = [apart for higher, apart in found.restarts if higher < AS_LOW and apart >= near]
     if left is not None and left > LEFT_OF_FITTED:
         text = f"with the held values, the search ended {left:.2g} standard errors from its aim"

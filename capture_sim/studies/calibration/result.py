@@ -14,7 +14,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import LAUNCH, get, with_values
 from capture_sim.studies.calibration.candidates import Score
 from capture_sim.studies.calibration.checks import (
-    AS_LOW,
+    SETTLED,
     Agreeing,
     BlockMean,
     Finding,
@@ -265,7 +265,7 @@ def result_of(
         # where chatter is rough, a search may end before its aim, and each elsewhere
         aim = _aim(at)
         covariance = covariance + np.outer(aim, aim)
-        as_low = [end.linear.place for end in found.others if end.linear.chi2 < at.chi2 + AS_LOW]
+        as_low = [end.linear.place for end in found.others if end.linear.chi2 < at.chi2 + SETTLED]
         for place in as_low:
             covariance += np.outer(place - at.place, place - at.place) / len(as_low)
     shared = covariance[:k, :k] * np.outer(slopes, slopes)
