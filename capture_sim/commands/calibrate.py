@@ -374,7 +374,7 @@ def _test_lines(found: Calibration) -> list[str]:
     if found.restarts:
         higher, apart = (max(column) for column in zip(*found.restarts, strict=True))
         lines[-1] += (
-            f"; {len(found.restarts)} restarts ended within {apart:.2g} standard errors of it, with "
+            f"; {len(found.restarts)} restarts ended within {apart:.2g} standard errors of it, "
             f"chi2 up to {max(higher, 0.0):.2g} higher"
         )
     if found.agreement.freedom:

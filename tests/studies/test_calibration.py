@@ -629,10 +629,8 @@ def test_errors_contain_where_restarts_end():
     off = np.zeros(at.place.size)
     off[0] = 3.0 * found.errors[0] / abs(found.problem.parameters[0].slope(float(at.place[0])))
     there = EndedSearch(dataclasses.replace(at, place=at.place + off), 0)
-    higher = EndedSearch(
-        dataclasses.replace(at, place=at.place - 9.0 * off, chi2=at.chi2 + 20.0), 0
-    )
-    both = Found(EndedSearch(at, 0), others=[there, higher])
+    far = dataclasses.replace(at, place=at.place - 9.0 * off, chi2=at.chi2 + 20.0)
+    both = Found(EndedSearch(at, 0), others=[there, EndedSearch(far, 0)])
     wider = result_of(found.problem, both, [], fitted=k).errors / found.errors
     assert wider[0] == pytest.approx(math.sqrt(10.0))
     assert wider[1:] == pytest.approx(np.ones(k - 1))
