@@ -64,7 +64,7 @@ def test_a_fit_that_does_not_count_is_status_1_with_the_reason(trials, tmp_path,
     "words, said",
     [
         (["--fit", "c_rr", "c_rr"], "parameter c_rr: given twice: must be given once"),
-        (["--fit", "c_rrr"], "parameter c_rrr: must be one of c_rr, e, mu, c_A"),
+        (["--fit", "c_rrr"], "parameter c_rrr: no number of tilt_0; did you mean c_rr, "),
         (["--weighed", "chaser.mass=22.6"], "weighed chaser.mass=22.6: must be NAME='VALUE +-"),
         (["--profile", "mu", "--fit", "e"], "profile mu: must be one of the fitted parameters"),
         (["--placement", "0.2 mm, 1 mrad"], "--placement: must be given with --predict"),

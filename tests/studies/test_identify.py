@@ -86,7 +86,7 @@ def test_noise_is_found_in_the_series():
 @pytest.mark.parametrize(
     "names, said",
     [
-        (("friction.nu",), "parameter friction.nu: must be one of c_rr, e, mu, c_A"),
+        (("friction.nu",), "parameter friction.nu: no number of tilt_0; did you mean friction.mu"),
         (("friction.law",), "parameter friction.law"),
         (("mu", "mu"), "must be given once"),
         (("stops.stiffness",), "parameter stops.stiffness"),
