@@ -122,6 +122,15 @@ def test_touches_of_a_cell_that_reads_too_much_are_its_gains():
         assert np.any(step)
 
 
+def test_a_force_with_a_hole_in_the_contact_or_too_few_samples_has_no_impulse():
+    run = trial_with_cell(0.0, 1000.0, 200.0, 1)
+    (cell,) = run.series["cone_force"].values()
+    assert impulse_of(run, 1.0) is not None
+    for kept in ((cell.t < 0.03) | (cell.t > 0.04), np.arange(cell.t.size) % 20 == 0):
+        holed = {"a cell": Series(cell.t[kept], cell.values[kept])}
+        assert impulse_of(run.replaced(series={**run.series, "cone_force": holed}), 1.0) is None
+
+
 def test_a_force_that_begins_in_the_contact_has_no_impulse():
     run = trial_with_cell(0.0, 1000.0, 200.0, 1, before=0.0)
     late = {name: Series(s.t - 0.1, s.values) for name, s in run.series["cone_force"].items()}

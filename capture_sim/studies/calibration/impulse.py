@@ -27,6 +27,8 @@ _BEFORE, _SAMPLES_BEFORE = 0.02, 3
 _DELAY = 2.0
 #: Order of the differences that show the noise of samples; of white noise all orders do.
 _ORDER = 9
+#: Longest interval of two samples, in medians of them: what a hole hides is not known.
+_HOLE = 3.0
 #: Part of the impulse that is not resolved: resistance and pose of the target between samples.
 _UNRESOLVED = 3e-3
 #: An impulse counts if it is known to better than this share.
@@ -77,9 +79,11 @@ def impulse_of(run: Run, end: float) -> MeasuredImpulse | None:
         return None
     last = int(later[np.argmin(np.convolve(size, np.ones(5) / 5.0, mode="same")[later])])
     window = slice(first, last + 1)
+    step = np.diff(t[window])
+    if step.size < 2 * _ORDER or step.max() > _HOLE * float(np.median(step)):
+        return None
     heading = np.interp(t[window], target.t, np.unwrap(target.values[:, 2]))
     turned = _turned(net[window], heading - heading[0])
-    step = np.diff(t[window])
     value = 0.5 * ((turned[1:] + turned[:-1]) * step[:, None]).sum(axis=0)
     # what the samples have near half of their rate: noise, and touches that they may miss
     rough = (np.diff(turned, n=_ORDER, axis=0) ** 2).sum(axis=0) / math.comb(2 * _ORDER, _ORDER)
@@ -103,6 +107,7 @@ def _by_floor(v: np.ndarray, theta: np.ndarray, par: np.void) -> np.ndarray:
         ball = v[:, :2] + v[:, 2:] * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
         speed = np.sqrt((ball**2).sum(axis=1) + float(par["v_eps_ball"]) ** 2)
         force = force - limit * ball / speed[:, None]
+    force[~v.any(axis=1)] = 0.0  # at rest the floor holds it
     return np.asarray(force)
 
 
