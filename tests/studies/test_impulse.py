@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 
+import dirty
 import numpy as np
 import pytest
 from measured_trials import measured_trial, short_scene
 
+import capture_sim
 from capture_sim.dynamics.bench import Bench
 from capture_sim.run.run import Run
 from capture_sim.run.series import Series
@@ -120,6 +122,20 @@ def test_touches_of_a_cell_that_reads_too_much_are_its_gains():
         step = residuals(trial, motion, more, 0.0) - residuals(trial, motion, seen, 0.0)
         assert sensor_column(trial, motion, seen, "scale.force") * 0.01 == pytest.approx(step)
         assert np.any(step)
+
+
+@pytest.mark.parametrize(
+    "kind, said",
+    [
+        ("plain", "only the impulse of the contact is used"),
+        ("cell_inverted", "is not used, since it is doubted (force_impulse)"),
+    ],
+)
+def test_a_force_that_is_doubted_moves_no_value(kind, said, tmp_path):
+    scene = capture_sim.load_scene("tilt_p10")
+    run = capture_sim.read_run(dirty.write(tmp_path, kind), scene=scene)
+    found = calibrate([run], ["mu"], restarts=0, until=3.2)
+    assert any(said in note for note in found.notes)
 
 
 def test_a_force_with_a_hole_in_the_contact_or_too_few_samples_has_no_impulse():

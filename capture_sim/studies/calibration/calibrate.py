@@ -46,6 +46,8 @@ from capture_sim.studies.calibration.trial import (
 #: Number of first touches that are fitted; default standard deviations of their times, s, and
 #: peak forces, N, if the recording gives none.
 TOUCHES, TOUCH_NOISE = 4, (2e-4, 2.0)
+#: Quantities of a force sensor.
+FORCES = ("tip_force", "cone_force")
 #: Trials whose targets are placed within this, m to the side and rad, are placed alike.
 ALIKE = (2e-3, 0.01)
 #: A weighed value of the launch is refused if it differs more from the recorded one, as a share.
@@ -142,7 +144,7 @@ def calibrate(
     if not trials:
         raise SceneError("trials: must be one run or more")
     coming = None if predict is None else as_scene(predict)
-    trials = [run.replaced(series=checked(run).series) for run in trials]
+    trials, doubted = zip(*map(_trusted, trials), strict=True)
     scene = trials[0].scene
     for run in trials[1:]:
         _check_same_bench(trials[0], run)
@@ -189,7 +191,7 @@ def calibrate(
             found = dataclasses.replace(found, findings=(*found.findings, UNFINISHED))
     held = [dataclasses.replace(h, value=recorded.get(h.name, h.value)) for h in found.held]
     found = dataclasses.replace(found, held=tuple(held))
-    return dataclasses.replace(found, weighed=known, notes=_notes(trials, prepared))
+    return dataclasses.replace(found, weighed=known, notes=_notes(trials, prepared, doubted))
 
 
 def _launched_with(trial: FittedTrial, launch: Mapping[str, Weighed]) -> FittedTrial:
@@ -208,10 +210,25 @@ def _launched_with(trial: FittedTrial, launch: Mapping[str, Weighed]) -> FittedT
     return dataclasses.replace(trial, scene=with_values(trial.scene, values)) if values else trial
 
 
-def _notes(runs: Sequence[Run], trials: Sequence[FittedTrial]) -> tuple[str, ...]:
+def _trusted(run: Run) -> tuple[Run, str]:
+    """Return a checked run without a force that is doubted, and by which rules, or ''."""
+    series = checked(run).series
+    names = dict.fromkeys(doubt.rule.name for doubt in run.doubts)
+    rules = [name for name in names if name.startswith("force_") and name != "force_frame_empty"]
+    if rules:
+        series = {name: sources for name, sources in series.items() if name not in FORCES}
+    return run.replaced(series=series), ", ".join(rules)
+
+
+def _notes(
+    runs: Sequence[Run], trials: Sequence[FittedTrial], doubted: Sequence[str]
+) -> tuple[str, ...]:
     """Return lines on what trials lack, and on what of them is not used."""
     found: dict[str, list[str]] = {}
-    for run, trial in zip(runs, trials, strict=True):
+    for run, trial, rules in zip(runs, trials, doubted, strict=True):
+        if rules:
+            words = f"the contact force is not used, since it is doubted ({rules})"
+            found.setdefault(words, []).append(Path(trial.name).name)
         if trial.frame.is_far:
             words = f"the frame of the poses is {trial.frame.text} against the scene's: taken out"
             found.setdefault(words, []).append(Path(trial.name).name)
@@ -219,7 +236,7 @@ def _notes(runs: Sequence[Run], trials: Sequence[FittedTrial]) -> tuple[str, ...
         if missing:
             words = f"no {' and no '.join(sorted(missing))}: the buffer is known by poses alone"
             found.setdefault(words, []).append(Path(trial.name).name)
-        if any(run.series.get(quantity) for quantity in ("tip_force", "cone_force")):
+        if any(run.series.get(quantity) for quantity in FORCES):
             words = "of the contact force, only times and strengths of the first touches are used"
             if trial.touches is None:
                 words = "of the contact force, only the impulse of the contact is used"
