@@ -556,8 +556,8 @@ def test_a_fit_with_a_small_wave_in_its_residuals_is_usable_with_larger_errors()
 
 
 SMALL_FAULTS = {
-    "friction": lambda: two_trials(true={**TRUE, "buffer.friction": 0.004}),
-    "rebound": lambda: two_trials(true={**TRUE, "buffer.c_A_rebound": 13.15}),
+    "friction": lambda: two_trials(true={**TRUE, "buffer.friction": 0.007}),
+    "rebound": lambda: two_trials(true={**TRUE, "buffer.c_A_rebound": 13.22}),
     "wave": lambda: trials_with_a_wave(0.6),
 }
 
@@ -570,7 +570,7 @@ def test_values_of_a_usable_fit_are_within_its_errors(fault):
     assert np.abs((found.values - VALUES) / found.errors).max() < 4.0
     # what is predicted of another trial has these errors, not those of independent noise
     spread = predicted(found, short_scene(-0.1)).figures[0].error
-    exact = dataclasses.replace(found, findings=())
+    exact = dataclasses.replace(found, whole=found.linear.covariance)
     assert spread > predicted(exact, short_scene(-0.1)).figures[0].error
 
 
