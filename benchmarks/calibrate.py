@@ -307,8 +307,6 @@ def random_held(rng: np.random.Generator) -> dict[str, float]:
         sensor = SENSOR_ERRORS.get(name)
         centre = float(get(scene, name)) if sensor is None else sensor.value
         found[name] = centre + error * float(own.normal())
-        if name.endswith("drag"):
-            found[name] = abs(found[name])
     return found
 
 
@@ -390,12 +388,10 @@ def fit_foreign(seed: int) -> Foreign | None:
     size = low * (high / low) ** float(rng.uniform()) if low else 0.0
     name, sign = kind.partition(",")[0], float(rng.choice([-1.0, 1.0]))
     tilt = tuple(held.pop(f"floor.tilt_{axis}") for axis in "xy")
-    drag = tuple(held.pop(f"{body}.drag") for body in ("chaser", "target"))
-    besides = Besides(tilt=tilt, drag=drag)  # type: ignore[arg-type]
+    besides = Besides(tilt=tilt)  # type: ignore[arg-type]
     if name == "tilt":
         angle = float(rng.uniform(0.0, 2.0 * np.pi))
-        slope = (size * float(np.cos(angle)), size * float(np.sin(angle)))
-        besides = besides._replace(tilt=slope)
+        besides = Besides(tilt=(size * float(np.cos(angle)), size * float(np.sin(angle))))
     elif name == "drag":
         besides = besides._replace(drag=(size, size))
     elif name == "cable":

@@ -106,6 +106,12 @@ def test_a_trial_of_a_changed_bench_is_named():
     [
         ("buffer.friction", {"true": {**TRUE, "buffer.friction": 0.02}}, 0.02),
         pytest.param(
+            "drag",
+            {"true": {**TRUE, "chaser.drag": 0.5, "target.drag": 0.5}},
+            0.5,
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
             "buffer.c_A_rebound",
             {"true": {**TRUE, "buffer.c_A_rebound": 13.5}},
             13.5,
@@ -497,7 +503,6 @@ HELD_WRONG = {
     "a tilted floor": {"floor.tilt_x": 4e-5},
     "another latch": {"latch.stiffness": 0.93 * short_scene().latch.stiffness},
     "another hinge": {"buffer.hinge_offset": short_scene().buffer.hinge_offset + 1.5e-4},
-    "drag": {"chaser.drag": 0.15, "target.drag": 0.1},
 }
 
 
@@ -559,12 +564,10 @@ SMALL_FAULTS = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("fault", SMALL_FAULTS)
-def test_values_of_a_fit_that_counts_are_within_its_errors(fault):
+def test_values_of_a_usable_fit_are_within_its_errors(fault):
     found = calibrate(SMALL_FAULTS[fault](), NAMES, restarts=0)
-    assert found.is_usable, found.findings
+    assert found.verdict == "usable", found.findings
     assert np.abs((found.values - VALUES) / found.errors).max() < 4.0
-    if found.is_found:  # held values take it
-        return
     # what is predicted of another trial has these errors, not those of independent noise
     spread = predicted(found, short_scene(-0.1)).figures[0].error
     exact = dataclasses.replace(found, whole=found.linear.covariance)
@@ -582,7 +585,7 @@ def test_clusters_of_residuals_widen_errors_by_what_they_share():
         for one, J in zip(at.shown, at.jacobians, strict=True)
     ]
     alike = dataclasses.replace(at, shown=shown)
-    assert clustered(alike, problem)[2, 2] / at.covariance[2, 2] > 2.0 * noise
+    assert clustered(alike, problem)[2, 2] / at.covariance[2, 2] > 3.0 * noise
 
 
 def test_an_exact_value_is_not_held():

@@ -56,7 +56,6 @@ SIZES: Mapping[str, float] = {
     **dict.fromkeys(("cone.L_T", "latch.radius", "rail.length"), 1e-4),
     "cone.half_angle": 1e-3,
     **dict.fromkeys(("floor.tilt_x", "floor.tilt_y"), 5e-5),
-    **dict.fromkeys(("chaser.drag", "target.drag"), 0.1),
 }
 
 

@@ -45,7 +45,7 @@ STARTS = tuple(f"initial.{v}.{name}" for v in ("chaser", "target") for name in (
 INSEPARABLE = 0.95
 #: A fit that fails only tests of these kinds is usable, with larger errors, if chi2 per degree of
 #: freedom is at most this.  tests/studies/test_calibration.py tries it with small faults of sensors
-#: and buffers (test_values_of_a_fit_that_counts_are_within_its_errors).
+#: and buffers (test_values_of_a_usable_fit_are_within_its_errors).
 _USABLE, USABLE_CHI2 = frozenset({"residuals", "lacks"}), 1.1
 #: What is said of a fit that Ctrl-C has ended.
 UNFINISHED = Finding(
