@@ -596,6 +596,17 @@ def test_an_exact_value_is_not_held():
     assert held["cone.L_T"].error == pytest.approx(1e-3)
 
 
+@pytest.mark.parametrize("drag", [0.0, 0.15])
+def test_a_held_value_may_be_at_the_end_of_its_range(drag):
+    """A drag of 0 is no reason to refuse a fit; one that the bench has is in the errors."""
+    true = {**TRUE, "chaser.drag": drag, "target.drag": drag}
+    found = calibrate(two_trials(true=true), NAMES, restarts=0, uncertain={"drag": "0.1 N s/m"})
+    assert found.is_found, found.findings
+    assert np.abs((found.values - VALUES) / found.errors).max() < 4.0
+    held = {one.name: one for one in found.held}
+    assert abs(held["chaser.drag"].fitted - drag) < 4.0 * held["chaser.drag"].known_to
+
+
 @pytest.mark.parametrize(
     "given, says",
     [

@@ -300,10 +300,13 @@ def direction_words(parameters: Sequence[Parameter], direction: np.ndarray) -> t
     return text, "leave one out of the fit, or give it by --weighed"
 
 
-def at_bounds(place: np.ndarray, problem: Problem) -> list[Parameter]:
-    """Return the shared parameters that are at an end of their range at a place (d,)."""
+def at_bounds(place: np.ndarray, problem: Problem, fitted: int) -> list[Parameter]:
+    """Return which of the first parameters are at an end of their range at a place (d,).
+
+    A held value may be there, e.g. a drag of 0.
+    """
     found = []
-    for parameter, coordinate in zip(problem.parameters, place[: problem.shared], strict=True):
+    for parameter, coordinate in zip(problem.parameters[:fitted], place[:fitted], strict=True):
         low, high = parameter.limits
         if coordinate - low < 1e-6 or high - coordinate < 1e-6:
             found.append(parameter)

@@ -427,7 +427,7 @@ def _tested(fitting: _Fitting, *, has_scores: bool) -> Calibration:
         if one.score.name in SENSOR_ERRORS and one.score.name.startswith("delay"):
             advice += ", or set the clock right"
         findings.append(Finding("lacks", lacking_text(one), advice))
-    for parameter in at_bounds(at.place, problem):
+    for parameter in at_bounds(at.place, problem, fitting.fitted):
         value = parameter.value(float(at.place[list(problem.parameters).index(parameter)]))
         findings.append(
             Finding(
