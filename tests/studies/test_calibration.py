@@ -22,7 +22,7 @@ from capture_sim.scene.paths import changed, expanded, get
 from capture_sim.studies.calibration.calibrate import calibrate, predicted
 from capture_sim.studies.calibration.candidates import FIELDS, NAMED, Score, needed, possible
 from capture_sim.studies.calibration.checks import clustered, convergence, direction_words
-from capture_sim.studies.calibration.descent import EndedSearch, Found
+from capture_sim.studies.calibration.descent import EndedSearch, Found, HopelessError, grow
 from capture_sim.studies.calibration.files import as_data, read_calibrated, scene_text
 from capture_sim.studies.calibration.fitting import fit_trials
 from capture_sim.studies.calibration.frame import NO_FRAME, Frame, in_frame_of_scene
@@ -680,6 +680,26 @@ def test_a_path_in_wrong_units_ends_the_search_before_the_contact():
     )
     assert "of chaser x in phase approach of trial" in found.findings[1].text
     assert found.simulations < 500
+
+
+def test_a_further_way_that_is_hopeless_leaves_what_was_found(monkeypatch):
+    """A second start, or one with a candidate, replaced the result of the first by its own end."""
+    trials = two_trials(true={"friction.mu": 0.27, "buffer.friction": 0.3})[:1]
+    calls = []
+
+    def first_only(problem, *rest):
+        calls.append(problem)
+        place, covariance = grow(problem, *rest)
+        if len(calls) == 1:
+            return place, covariance
+        raise HopelessError(problem, problem.linear(place, problem.weighed(), covariance), 0.1)
+
+    for room in ("fitting", "lacking"):
+        monkeypatch.setattr(f"capture_sim.studies.calibration.{room}.grow", first_only)
+    found = calibrate(trials, ["mu"], restarts=1)
+    assert len(calls) > 2
+    assert not any("the search has ended" in finding.text for finding in found.findings)
+    assert any(finding.kind == "lacks" for finding in found.findings)
 
 
 def test_a_fit_that_has_had_its_simulations_tries_no_further_way(monkeypatch):

@@ -16,9 +16,7 @@ from capture_sim.run.touches import Touches
 from capture_sim.scene.loading import as_scene
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import LAUNCH, NO_PHYSICS, field_names, get, with_values
-from capture_sim.studies.calibration.descent import (
-    RESTARTS,
-)
+from capture_sim.studies.calibration.descent import RESTARTS
 from capture_sim.studies.calibration.fitting import fit_trials
 from capture_sim.studies.calibration.frame import first_poses
 from capture_sim.studies.calibration.held import held_parameters, uncertainties
@@ -36,12 +34,7 @@ from capture_sim.studies.calibration.prediction import (
 )
 from capture_sim.studies.calibration.profiles import Profile, check_profiled, profile_of
 from capture_sim.studies.calibration.result import UNFINISHED, Calibration
-from capture_sim.studies.calibration.trial import (
-    FittedTrial,
-    launched,
-    resolved,
-    trial_of,
-)
+from capture_sim.studies.calibration.trial import FittedTrial, launched, resolved, trial_of
 
 #: Number of first touches that are fitted; default standard deviations of their times, s, and
 #: peak forces, N, if the recording gives none.

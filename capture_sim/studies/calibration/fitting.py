@@ -50,11 +50,7 @@ from capture_sim.studies.calibration.lacking import (
     what_lacks,
     with_one_more,
 )
-from capture_sim.studies.calibration.parameters import (
-    SENSOR_ERRORS,
-    Parameter,
-    begins,
-)
+from capture_sim.studies.calibration.parameters import SENSOR_ERRORS, Parameter, begins
 from capture_sim.studies.calibration.result import (
     UNFINISHED,
     USABLE_CHI2,
@@ -63,9 +59,7 @@ from capture_sim.studies.calibration.result import (
     left_of_fitted,
     result_of,
 )
-from capture_sim.studies.calibration.trial import (
-    FittedTrial,
-)
+from capture_sim.studies.calibration.trial import FittedTrial
 from capture_sim.studies.executors import InProcess
 
 #: Largest number of search steps after the held values have joined.
@@ -219,7 +213,10 @@ class _Fitting:
         rng = np.random.default_rng([seed, 2])
         low, high = (limits[: begin.size] for limits in before.limits)
         there = np.clip(begin + _ELSEWHERE * rng.standard_normal(begin.size), low, high)
-        search = self._grown(before, there, rng)
+        try:
+            search = self._grown(before, there, rng)
+        except (HopelessError, SceneError):  # nothing works from there: what was found stays
+            search = first
         if search.linear.chi2 >= first.linear.chi2:
             self.problem = before
             return False
@@ -277,7 +274,7 @@ class _Fitting:
         """
         assert self.found is not None
         if not held:
-            return True
+            return _may_count(self.problem, self.found.best.linear)
         if self.found.best.linear.chi2 > HOPELESS * self.problem.rows:
             return False
         self.is_cut_off = False

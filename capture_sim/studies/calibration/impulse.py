@@ -1,9 +1,10 @@
 """The impulse of a contact, from a force that is sampled too slowly to show its touches.
 
-A low-pass filter lowers the peaks of a force and keeps its integral, whatever its bandwidth is.  So
-the integral over a whole contact, until the force is small again, is known at any rate.  It is also
-the momentum that the target gained, less what the floor took meanwhile.  The simulation knows both
-without a sample of the force.  The gain of the cell is an error of a sensor, ``scale.force``.
+A low-pass filter lowers the peaks of a force and keeps its integral.  So the integral over a
+contact, until the force is small again, is known where single touches are not; the tests try rates
+from 200 Hz to 10 kHz, with filters from 40 Hz to 1 kHz and without.  The integral equals the
+momentum that the target gained, less the impulse of the floor.  Both follow from the simulated
+motion, without samples of the force.  The gain of the cell is a sensor's error, ``scale.force``.
 """
 
 from __future__ import annotations

@@ -4,29 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
 from capture_sim.scene.paths import expanded
 from capture_sim.studies.calibration.candidates import NAMED, Score, differing, scores
-from capture_sim.studies.calibration.checks import (
-    ALARM_TRIALS,
-    is_noise,
-    trials_agree,
-)
+from capture_sim.studies.calibration.checks import ALARM_TRIALS, is_noise, trials_agree
 from capture_sim.studies.calibration.descent import (
     HOPELESS,
+    HopelessError,
     descend,
     grow,
     step_covariance,
 )
 from capture_sim.studies.calibration.joint import Linear, Problem
-from capture_sim.studies.calibration.parameters import (
-    Parameter,
-    begins,
-    begun_at,
-    parameters_of,
-)
+from capture_sim.studies.calibration.parameters import Parameter, begins, begun_at, parameters_of
 from capture_sim.studies.calibration.result import Lacking
 
 #: Largest number of lacking parameters, which are added one at a time, and largest number of
@@ -132,10 +125,11 @@ def with_one_more(
         # a wrong model has biased the other parameters: restart all of them
         begin = begins(wider.parameters)
         begin[-1] = start
-        there, spread_there = grow(wider, begin, np.random.default_rng(0))
-        again = descend(wider, there, prior, spread_there, most=_ADDED_STEPS)
-        if search is None or (again is not None and again.linear.chi2 < search.linear.chi2):
-            search = again
+        with suppress(HopelessError):  # what was found without them stays
+            there, spread_there = grow(wider, begin, np.random.default_rng(0))
+            again = descend(wider, there, prior, spread_there, most=_ADDED_STEPS)
+            if search is None or (again is not None and again.linear.chi2 < search.linear.chi2):
+                search = again
     if search is None:
         return None
     end = search.linear

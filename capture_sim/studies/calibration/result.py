@@ -22,22 +22,13 @@ from capture_sim.studies.calibration.checks import (
     left_out,
     undetermined,
 )
-from capture_sim.studies.calibration.descent import (
-    Found,
-    step_covariance,
-)
+from capture_sim.studies.calibration.descent import Found, step_covariance
 from capture_sim.studies.calibration.held import Held, held_of
 from capture_sim.studies.calibration.joint import Linear, Problem, inverse
-from capture_sim.studies.calibration.parameters import (
-    Weighed,
-)
-from capture_sim.studies.calibration.prediction import (
-    Prediction,
-)
+from capture_sim.studies.calibration.parameters import Weighed
+from capture_sim.studies.calibration.prediction import Prediction
 from capture_sim.studies.calibration.profiles import Profile
-from capture_sim.studies.calibration.trial import (
-    OWN_SIZE,
-)
+from capture_sim.studies.calibration.trial import OWN_SIZE
 
 #: Names of a trial's start poses.
 STARTS = tuple(f"initial.{v}.{name}" for v in ("chaser", "target") for name in ("x", "y", "theta"))
