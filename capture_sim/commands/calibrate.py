@@ -47,12 +47,7 @@ from capture_sim.studies.calibration.candidates import NAMED
 from capture_sim.studies.calibration.checks import ALARM_BLOCKS, PHASES, neighbours
 from capture_sim.studies.calibration.descent import RESTARTS
 from capture_sim.studies.calibration.files import JSON, SCENE, as_data, scene_text
-from capture_sim.studies.calibration.parameters import (
-    DEFAULT,
-    SENSOR_ERRORS,
-    Weighed,
-    read_weighed,
-)
+from capture_sim.studies.calibration.parameters import DEFAULT, SENSOR_ERRORS, read_weighed
 from capture_sim.studies.calibration.prediction import (
     Prediction,
     read_placement,
@@ -61,6 +56,7 @@ from capture_sim.studies.calibration.prediction import (
 from capture_sim.studies.calibration.result import INSEPARABLE, Calibration
 from capture_sim.studies.calibration.trial import launched
 from capture_sim.studies.executors import open_executor
+from capture_sim.studies.inputs import Known
 
 DESCRIPTION = (
     "Fit the parameters of a bench to all of its trials, or to one recording. Each trial has its "
@@ -240,8 +236,8 @@ def _to_predict(options: argparse.Namespace) -> Scene | None:
     return load_scene(options.predict)
 
 
-def _weighed(scene: Scene, texts: Sequence[str]) -> dict[str, Weighed]:
-    weighed: dict[str, Weighed] = {}
+def _weighed(scene: Scene, texts: Sequence[str]) -> dict[str, Known]:
+    weighed: dict[str, Known] = {}
     for text in texts:
         name, value = read_weighed(scene, text)
         if name in weighed:

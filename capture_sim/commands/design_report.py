@@ -373,7 +373,7 @@ def write_front(
     kept["objectives"] = [each.key for each in requirements.objectives]
     kept["limits"] = {limit.key: limit.value for limit in requirements.limits}
     kept["free"] = {
-        each.name: list(each.choices) if each.choices else [each.low, each.high]
+        each.name: list(each.values) if each.values else [each.low, each.high]
         for each in design.variables
     }
     if requirements.under is not None:

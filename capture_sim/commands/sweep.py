@@ -37,7 +37,6 @@ from capture_sim.errors import SceneError
 from capture_sim.recording.sweep_file import check_format, is_complete, read_cases, write_sweep
 from capture_sim.run.loads import LOADS, implausible_stroke, plausible_stroke
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.axes import FAMILIAR, typed_unit
 from capture_sim.studies.capture_range import CaptureRange, area_of_map, ranges_of_sweep
 from capture_sim.studies.dispersion import (
     MAIN_LOADS,
@@ -61,6 +60,7 @@ from capture_sim.studies.dispersion import (
     wilks_runs,
 )
 from capture_sim.studies.executors import open_executor
+from capture_sim.studies.inputs import FAMILIAR, typed_unit
 from capture_sim.studies.limits import Limit, read_limits
 from capture_sim.studies.sampling import EDGES, SAMPLES, Samples
 from capture_sim.studies.sweep import (
@@ -113,7 +113,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUES",
         help="vary a field of the scene, or approach.angle, .offset, .mouth_offset or .speed (free "
-        "flight just before the first touch), over LOW:HIGH:COUNT, A,B,C or a distribution: "
+        "flight just before the first touch), over LOW:HIGH:COUNT, A,B,C, VALUE +- ERROR or a "
+        "distribution: "
         f"{', '.join(FAMILIAR.values())} or any other of scipy.stats. Numbers are in SI units, "
         "with a unit, or in %% of the mean. May be repeated",
     )

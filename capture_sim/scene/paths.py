@@ -50,7 +50,7 @@ def paths_of(scene: Scene, name: str) -> tuple[str, ...]:
         is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not is_number and path not in (names := field_names(scene)):
             hint = did_you_mean(alike([*ALIASES, *names], name))
-            raise SceneError(f"parameter {name}: no number of {scene.name}; {hint}")
+            raise SceneError(f"{name}: no number of {scene.name}; {hint}")
         if not is_number or path.split(".")[0] in NO_PHYSICS or path in LAUNCH:
             raise SceneError(
                 f"parameter {name}: must be one of {', '.join(ALIASES)}, or a number of the bench "

@@ -33,10 +33,10 @@ from capture_sim.base.journal import Journal
 from capture_sim.errors import SceneError
 from capture_sim.scene import paths
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.axes import Axis
 from capture_sim.studies.capture_range import capture_ranges, points_of
 from capture_sim.studies.dispersion import Probability, probability
 from capture_sim.studies.executors import answers
+from capture_sim.studies.inputs import Input
 from capture_sim.studies.limits import CAPTURE_RANGE, LOAD_KEYS, ROUND_OFF, Limit, Measure
 from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.sampling import Correlations
@@ -89,7 +89,7 @@ class Requirements:
         Share of the draws that must end in a capture with all limits kept.
     draws : int
         Number of draws of each candidate.
-    area : tuple of Axis
+    area : tuple of Input
         Area of approach for the capture range, see :mod:`capture_sim.studies.capture_range`.
     least_range : float
         Least capture range that is required, 0 to 1.
@@ -105,7 +105,7 @@ class Requirements:
     under: Dispersions | None = None
     confidence: float = 0.95
     draws: int = DRAWS
-    area: tuple[Axis, ...] = ()
+    area: tuple[Input, ...] = ()
     least_range: float = 0.0
     allow_leaving: bool = False
     hold_at_be: bool = True

@@ -21,8 +21,8 @@ import numpy as np
 from capture_sim.errors import SceneError
 from capture_sim.scene.approach import APPROACH, approach_of
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.axes import Axis, make_axis
 from capture_sim.studies.executors import answers
+from capture_sim.studies.inputs import Input, read_input
 from capture_sim.studies.limits import Limit
 from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.sampling import Samples
@@ -62,7 +62,7 @@ class CaptureRange:
     edges: tuple[tuple[float, ...], ...] = ()  # approaches at the located edges
 
 
-def make_area(scene: Scene, texts: Sequence[str]) -> tuple[Axis, ...]:
+def make_area(scene: Scene, texts: Sequence[str]) -> tuple[Input, ...]:
     """Return the axes of an area of approach.
 
     ``texts`` are ``NAME=LOW:HIGH:COUNT``, or names in :data:`AREAS`.  SceneError if a name is not a
@@ -83,7 +83,7 @@ def make_area(scene: Scene, texts: Sequence[str]) -> tuple[Axis, ...]:
     for name, text in given.items():
         if name not in APPROACH:
             raise SceneError(f"{name}: must be one of {', '.join(APPROACH)}")
-        axis = make_axis(scene, name, text)
+        axis = read_input(scene, name, text)
         if axis.distribution is not None or not _is_ascending(axis):
             raise SceneError(f"{name} = {text}: must be LOW:HIGH:COUNT with LOW < HIGH")
         axes.append(axis)
@@ -96,11 +96,11 @@ def make_area(scene: Scene, texts: Sequence[str]) -> tuple[Axis, ...]:
     return tuple(axes)
 
 
-def _is_ascending(axis: Axis) -> bool:
+def _is_ascending(axis: Input) -> bool:
     return bool(np.all(np.diff(np.array(axis.values, dtype=float)) > 0.0))
 
 
-def area_of_map(axes: Sequence[Axis]) -> tuple[Axis, ...]:
+def area_of_map(axes: Sequence[Input]) -> tuple[Input, ...]:
     """Return the axes of the area in a sweep's grid: the axes of its map that vary the approach.
 
     The axes of the map are the two axes with the most different values.  Empty if the sweep has a
@@ -115,13 +115,13 @@ def area_of_map(axes: Sequence[Axis]) -> tuple[Axis, ...]:
     return area if is_grid else ()
 
 
-def points_of(area: Sequence[Axis]) -> list[tuple[float, ...]]:
+def points_of(area: Sequence[Input]) -> list[tuple[float, ...]]:
     """Return the approaches of an area's grid; the last axis varies fastest."""
     return list(itertools.product(*(axis.values for axis in area)))
 
 
 def capture_ranges(
-    area: Sequence[Axis],
+    area: Sequence[Input],
     captured: np.ndarray,
     is_captured: Captures,
     bisections: int = BISECTIONS,
@@ -218,7 +218,9 @@ def ranges_of_sweep(
     return dict(zip(points, ranges, strict=True))
 
 
-def _point(area: Sequence[Axis], along: int, others: Sequence[int], at: float) -> tuple[float, ...]:
+def _point(
+    area: Sequence[Input], along: int, others: Sequence[int], at: float
+) -> tuple[float, ...]:
     """Return the values of an approach at position ``at`` on a line of the grid.
 
     ``along`` is the axis of the line, ``others`` are the indices of the values on the other axes.

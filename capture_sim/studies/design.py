@@ -33,6 +33,7 @@ from capture_sim.scene.parts import Scene
 from capture_sim.studies.candidates import Archive, Candidate, Evaluator, Requirements, costs_of
 from capture_sim.studies.executors import InProcess
 from capture_sim.studies.front import knee, layers, require_pymoo
+from capture_sim.studies.inputs import Input
 from capture_sim.studies.limit_costs import LimitCost, limit_costs
 from capture_sim.studies.limits import Measure
 from capture_sim.studies.refinement import Evaluate
@@ -44,7 +45,7 @@ from capture_sim.studies.search import (
     search_requirements,
     search_scene,
 )
-from capture_sim.studies.variables import FREE, FreeVariable, make_variables, with_values
+from capture_sim.studies.variables import FREE, make_variables, with_values
 
 #: Maximum number of rows of the table of a front.
 MAX_ROWS = 12
@@ -61,7 +62,7 @@ class Design:
 
     scene: Scene  # the given scene
     requirements: Requirements
-    variables: tuple[FreeVariable, ...]
+    variables: tuple[Input, ...]
     rows: tuple[DesignRow, ...]  # a single row if there is one objective
     own: Candidate  # the scene's own buffer
     refusal: str  # why there is no buffer; empty if there is a buffer

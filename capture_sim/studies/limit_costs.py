@@ -21,9 +21,9 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_sim.studies.candidates import Candidate, Requirements
+from capture_sim.studies.inputs import Input
 from capture_sim.studies.limits import Limit
 from capture_sim.studies.refinement import CandidatePoints, Evaluate, Goal, refine, refine_from
-from capture_sim.studies.variables import FreeVariable
 
 #: Least use (share of the limit) of an active limit.
 ACTIVE = 0.98
@@ -67,7 +67,7 @@ class _Optimum(NamedTuple):
 def limit_costs(
     row: Candidate,
     known: Sequence[Mapping[str, float]],
-    variables: Sequence[FreeVariable],
+    variables: Sequence[Input],
     requirements: Requirements,
     evaluate: EvaluatorOf,
     runs: int,
@@ -135,7 +135,7 @@ def _load(optimum: _Optimum, limit: Limit) -> float:
 def _optimum(
     goal: Goal,
     begin: Sequence[Mapping[str, float]],
-    variables: Sequence[FreeVariable],
+    variables: Sequence[Input],
     requirements: Requirements,
     evaluate: Evaluate,
     runs: int,

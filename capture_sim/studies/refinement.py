@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from capture_sim.studies.candidates import Candidate
+from capture_sim.studies.inputs import Input
 from capture_sim.studies.limits import Measure
-from capture_sim.studies.variables import FreeVariable
 
 #: Penalty that is added to a goal for an excess of 1 (a load e times its limit).
 PENALTY = 10.0
@@ -54,7 +54,7 @@ class Goal:
 class CandidatePoints:
     """Archive of candidates with their costs and their positions in the ranges."""
 
-    def __init__(self, variables: Sequence[FreeVariable], objectives: Sequence[Measure]) -> None:
+    def __init__(self, variables: Sequence[Input], objectives: Sequence[Measure]) -> None:
         self.variables, self.objectives = tuple(variables), tuple(objectives)
         self.candidates: list[Candidate] = []
         self._shares: list[list[float]] = []
@@ -70,7 +70,7 @@ class CandidatePoints:
 
     def shares_of(self, candidate: Candidate) -> list[float]:
         """Return the positions of a candidate's values in their ranges, 0 to 1."""
-        return [each.share(candidate.values[each.name]) for each in self.variables]
+        return [each.position(candidate.values[each.name]) for each in self.variables]
 
     def values_of(self, shares: Sequence[float]) -> dict[str, float]:
         """Return the values by name at positions in their ranges, 0 to 1."""
@@ -219,9 +219,9 @@ def _neighbours(points: CandidatePoints, shares: np.ndarray, goal: Goal) -> list
     best = shares[int(np.argmin(points.goal_values(goal)))]
     found = []
     for k, variable in enumerate(points.variables):
-        for step in (-1.0, 1.0) if variable.choices else ():
+        for step in (-1.0, 1.0) if variable.values else ():
             moved = best.copy()
-            moved[k] += step / len(variable.choices)
+            moved[k] += step / len(variable.values)
             if 0.0 < moved[k] < 1.0:
                 found.append(moved)
     return found
@@ -243,7 +243,7 @@ def _search(
 
     Values from a catalogue keep the item of the start.
     """
-    free = [k for k, each in enumerate(points.variables) if not each.choices]
+    free = [k for k, each in enumerate(points.variables) if not each.values]
     if not free:
         yield from single(start)
         return

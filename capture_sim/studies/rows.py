@@ -18,10 +18,11 @@ import numpy as np
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.candidates import Candidate, Evaluator, Requirements, costs_of
 from capture_sim.studies.dispersion import Probability
+from capture_sim.studies.inputs import Input
 from capture_sim.studies.limits import Measure
 from capture_sim.studies.outcome import CAPTURED, run_to_end
 from capture_sim.studies.refinement import Goal
-from capture_sim.studies.variables import FreeVariable, with_values
+from capture_sim.studies.variables import with_values
 
 #: A load that is neither limited nor an objective is reported if it is at least this multiple of
 #: the load with the scene's own buffer.
@@ -72,7 +73,7 @@ def detailed(
     own: Candidate,
     scene: Scene,
     requirements: Requirements,
-    variables: Sequence[FreeVariable],
+    variables: Sequence[Input],
     evaluators: Mapping[float, Evaluator],
 ) -> list[DesignRow]:
     """Return the rows with their details: range ends, sharpness, time at BE, grown loads.
@@ -164,7 +165,7 @@ def _grown(
 
 
 def _sharpness(
-    row: DesignRow, requirements: Requirements, variables: Sequence[FreeVariable], exact: Evaluator
+    row: DesignRow, requirements: Requirements, variables: Sequence[Input], exact: Evaluator
 ) -> Sharpness | None:
     """Return the worst results of runs with one value 1 % larger or smaller.
 

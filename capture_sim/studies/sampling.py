@@ -18,7 +18,7 @@ import numpy as np
 
 from capture_sim.errors import SceneError
 from capture_sim.scene.quantities import Range, refuse
-from capture_sim.studies.axes import Axis
+from capture_sim.studies.inputs import Input
 
 SAMPLES = ("random", "latin", "sobol", "saltelli")
 PLAIN, EDGES = "plain", "edges"
@@ -33,7 +33,7 @@ _EDGE_SHAPE, _EDGE_CUT = 0.2, 0.005
 class Samples:
     """The runs of a sweep."""
 
-    axes: tuple[Axis, ...]
+    axes: tuple[Input, ...]
     rows: list[tuple[Any, ...]]  # values of each run, in the order of the axes, SI units
     designs: list[str]  # of each run: plain, or edges for an additional draw near the edges
     # from the user's table: columns that are not fields, and reasons why rows cannot run, by number
@@ -46,7 +46,7 @@ Correlations = Mapping[tuple[str, str], float]
 
 
 def make_samples(
-    axes: Sequence[Axis],
+    axes: Sequence[Input],
     runs: int = 0,
     sample: str = "random",
     seed: int = 1,
@@ -136,7 +136,7 @@ class _Copula:
         return correlated
 
 
-def _check(grid: list[Axis], drawn: list[Axis], runs: int, sample: str, edges: int) -> None:
+def _check(grid: list[Input], drawn: list[Input], runs: int, sample: str, edges: int) -> None:
     if sample not in SAMPLES:
         raise refuse("sample", sample, "", f"one of {', '.join(SAMPLES)}")
     if not drawn:

@@ -20,6 +20,7 @@ from capture_sim.studies.candidates import Archive, Candidate, Evaluator, Requir
 from capture_sim.studies.coverage import cover, undecided
 from capture_sim.studies.dispersion import Probability, probability
 from capture_sim.studies.front import knee, layers, spread_points
+from capture_sim.studies.inputs import Input
 from capture_sim.studies.limit_costs import ACTIVE
 from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.refinement import CandidatePoints, Goal, refine
@@ -35,7 +36,7 @@ from capture_sim.studies.rows import (
     lasting,
 )
 from capture_sim.studies.sweep import RTOL
-from capture_sim.studies.variables import FreeVariable, fields_of, own_value, with_values
+from capture_sim.studies.variables import fields_of, may_widen, own_value, widened, with_values
 
 #: Maximum and minimum number of rows of a front, and the number of candidates that a row needs.
 _MAX_ROWS, _MIN_ROWS, _RUNS_OF_ROW = 7, 3, 800
@@ -98,7 +99,7 @@ class DesignSearch:
         self,
         scene: Scene,
         requirements: Requirements,
-        variables: tuple[FreeVariable, ...],
+        variables: tuple[Input, ...],
         window: Window | None,
         seed: int,
         executor: Executor,
@@ -280,7 +281,7 @@ class DesignSearch:
 
         points = self.points = CandidatePoints(self.variables, self._objectives)
         runs = min(_COVERAGE, int(_COVERAGE_SHARE * self._left))
-        places = [[each.share(x[each.name]) for each in self.variables] for x in begin]
+        places = [[each.position(x[each.name]) for each in self.variables] for x in begin]
         for number, found in enumerate(cover(points, within_budget, runs, self._seed, places)):
             # not of buffers that an earlier design has chosen for their objectives
             is_spread = number == 0 and len(begin) <= 1
@@ -428,8 +429,8 @@ class DesignSearch:
                 continue
             for k, variable in enumerate(self.variables):
                 end = variable.end_at(best.values[variable.name])
-                if end and variable.may_widen(end):
-                    wider[k] = variable.widened(end)
+                if end and may_widen(variable, end):
+                    wider[k] = widened(variable, end)
         if wider == list(self.variables):
             return False
         self.variables = tuple(wider)
@@ -574,8 +575,8 @@ class DesignSearch:
         if rows:
             return ""
         searched = ", ".join(
-            f"{each.name} {', '.join(f'{x:.4g}' for x in each.choices)}"
-            if each.choices
+            f"{each.name} {', '.join(f'{x:.4g}' for x in each.values)}"
+            if each.values
             else f"{each.name} {each.low:.4g} to {each.high:.4g}"
             for each in self.variables
         )

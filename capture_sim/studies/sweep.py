@@ -32,8 +32,8 @@ from capture_sim.scene.approach import APPROACH, Approach, approach_of, placed, 
 from capture_sim.scene.files import Overrides
 from capture_sim.scene.loading import as_scene
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.axes import Axis, declaration_of, make_axis
 from capture_sim.studies.executors import answers, open_executor
+from capture_sim.studies.inputs import Input, declaration_of, read_input
 from capture_sim.studies.limits import Limit, exceeded, make_limits
 from capture_sim.studies.outcome import Outcome, outcome_of
 from capture_sim.studies.sampling import PLAIN, Correlations, Samples, make_samples
@@ -235,7 +235,7 @@ def samples_of(
     if not isinstance(vary, Mapping):
         samples = _samples_of_table(scene, vary)
     else:
-        axes = [make_axis(scene, name, given) for name, given in vary.items()]
+        axes = [read_input(scene, name, given) for name, given in vary.items()]
         if not axes:
             raise SceneError("vary: must have one axis or more")
         samples = make_samples(axes, runs, sample, seed, edges, correlations)
@@ -279,14 +279,14 @@ def _samples_of_table(scene: Scene, table: pandas.DataFrame) -> Samples:
     return Samples(tuple(axes), rows, [PLAIN] * len(rows), notes, failures)
 
 
-def _column(scene: Scene, name: str, cells: Sequence[Any]) -> tuple[Axis, dict[int, str]]:
+def _column(scene: Scene, name: str, cells: Sequence[Any]) -> tuple[Input, dict[int, str]]:
     """Return the axis of a table's column, and the reason for each invalid value by row number.
 
     Invalid values are NaN in the axis.
     """
     try:
         if not any(map(_is_blank, cells)):
-            return make_axis(scene, name, cells), {}
+            return read_input(scene, name, cells), {}
     except SceneError:
         declaration_of(scene, name)  # raises here if the name of the column is invalid
     values: list[Any] = []
@@ -295,11 +295,11 @@ def _column(scene: Scene, name: str, cells: Sequence[Any]) -> tuple[Axis, dict[i
         try:
             if _is_blank(cell):
                 raise SceneError(f"{name}: has no value")
-            values += make_axis(scene, name, [cell]).values
+            values += read_input(scene, name, [cell]).values
         except SceneError as error:
             values.append(math.nan)
             invalid[row] = f"row {row}: {error}"
-    return Axis(name, declaration_of(scene, name).unit, tuple(values)), invalid
+    return Input(name, declaration_of(scene, name).unit, tuple(values)), invalid
 
 
 def _is_blank(cell: Any) -> bool:

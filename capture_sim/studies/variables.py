@@ -5,15 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from capture_sim.errors import SceneError
 from capture_sim.scene import paths
 from capture_sim.scene.approach import APPROACH, approach_of
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import POSITIVE, Declared, accept
-from capture_sim.scene.units import in_si
-from capture_sim.studies.axes import declaration_of
+from capture_sim.studies.inputs import FORMS_OF_DESIGN, Input, declaration_of, read_input
 from capture_sim.studies.limits import Limit
 
 #: Free values by default.
@@ -27,8 +25,6 @@ _DAMPERS = ("buffer.c_A", "buffer.c_A_rebound")
 #: Upper end of a damper's range, as a share of critical damping.  Optima have a tenth of it, and
 #: the computing time of a run grows with the damper.
 _OVERDAMPED = 2.0
-#: Values within this share of an end of their range are at that end.
-_AT_END = 0.02
 #: Factor by which a range is widened, and the least ratio of the ends of a wide range.
 _WIDER, _WIDE = 10.0, 100.0
 #: Least stroke for the ranges, as a multiple of the penetration of a contact without a buffer.
@@ -39,118 +35,67 @@ _OF_AXIAL_SPRING = ("buffer.k_A", "buffer.k_A3", "buffer.preload")
 _USUAL_STROKE, _USUAL_TORSION = 0.02, 0.01
 
 
-@dataclass(frozen=True)
-class FreeVariable:
-    """A free value, and the range or the catalogue to search.
+def may_widen(variable: Input, end: str) -> bool:
+    """Return True if the search may widen the range of a variable at this end.
 
-    A range is searched on a logarithmic scale if its lower end is > 0, else on a cubic scale.
+    It may not widen a range of the user, or the upper end of a damper's range.
     """
-
-    name: str
-    low: float
-    high: float
-    unit: str = ""
-    choices: tuple[float, ...] = ()  # a catalogue, ascending; empty for a range
-    is_given: bool = False  # by the user, not computed from the approach
-    is_whole: bool = True  # wide enough to see which loads depend on the buffer
-
-    def value(self, share: float) -> float:
-        """Return the value at a position in the range or the catalogue, 0 to 1."""
-        if self.choices:
-            return self.choices[min(int(share * len(self.choices)), len(self.choices) - 1)]
-        if self.low > 0.0:
-            return float(self.low * (self.high / self.low) ** share)
-        return float(self.low + (self.high - self.low) * share**3)
-
-    def share(self, value: float) -> float:
-        """Return the position of a value in the range, 0 to 1.
-
-        In a catalogue, it is the position of the nearest item.
-        """
-        if self.choices:
-            distance = [abs(each - value) for each in self.choices]
-            return (distance.index(min(distance)) + 0.5) / len(self.choices)
-        inside = min(max(value, self.low), self.high)
-        if self.low > 0.0:
-            return math.log(inside / self.low) / math.log(self.high / self.low)
-        return float(((inside - self.low) / (self.high - self.low)) ** (1.0 / 3.0))
-
-    def has(self, value: float) -> bool:
-        """Return True if a value is in the range or the catalogue."""
-        return value in self.choices if self.choices else self.low <= value <= self.high
-
-    def end_at(self, value: float) -> str:
-        """Return ``"lower"`` or ``"upper"`` if a value is within 2 % of this end of the range.
-
-        Empty otherwise, for a catalogue, and at a lower end of 0.
-        """
-        if self.choices:
-            return ""
-        share = self.share(value)
-        if share < _AT_END and self.low > 0.0:
-            return "lower"
-        return "upper" if share > 1.0 - _AT_END else ""
-
-    def widened(self, end: str) -> FreeVariable:
-        """Return the variable with one end of its range moved outwards by a factor of ten."""
-        if end == "lower":
-            return dataclasses.replace(self, low=self.low / _WIDER)
-        return dataclasses.replace(self, high=self.high * _WIDER)
-
-    def may_widen(self, end: str) -> bool:
-        """Return True if the search may widen the range at this end.
-
-        It may not widen a range of the user, or the upper end of a damper's range.
-        """
-        is_damper = self.name in (*_DAMPERS, DAMPING_RATIO)
-        return not (self.is_given or (is_damper and end == "upper"))
+    is_damper = variable.name in (*_DAMPERS, DAMPING_RATIO)
+    return not (variable.text or (is_damper and end == "upper"))
 
 
-def make_variables(
-    scene: Scene, limits: Sequence[Limit], free: Sequence[str]
-) -> tuple[FreeVariable, ...]:
+def widened(variable: Input, end: str) -> Input:
+    """Return a variable with one end of its range moved outwards by a factor of ten."""
+    if end == "lower":
+        return variable.between(variable.low / _WIDER, variable.high)
+    return variable.between(variable.low, variable.high * _WIDER)
+
+
+def make_variables(scene: Scene, limits: Sequence[Limit], free: Sequence[str]) -> tuple[Input, ...]:
     """Return the free values with their ranges or catalogues.
 
-    ``free`` are texts ``NAME``, ``NAME=LOW:HIGH``, ``NAME=[A,B,..]`` or ``NAME=VALUE``.  A default
-    range surrounds the value of a buffer that absorbs the energy of the approach within the limits
-    of its strokes.
+    ``free`` are texts ``NAME``, ``NAME=LOW:HIGH``, ``NAME=[A,B,..]``, ``NAME=LOW:HIGH:COUNT`` or
+    ``NAME=VALUE``.  A default range surrounds the value of a buffer that absorbs the energy of the
+    approach within the limits of its strokes.
     SceneError if a name or a range is invalid.
     """
     usual = _usual_ranges(scene, limits)
-    variables: list[FreeVariable] = []
+    variables: dict[str, Input] = {}
     for text in free:
         name, _, given = (part.strip() for part in text.partition("="))
         if len(fields := paths.expanded(name)) == 1:
             name = fields[0]
         what = _declaration(scene, name)
-        if name in (variable.name for variable in variables):
+        if name in variables:
             raise SceneError(f"free {name}: must be given once")
-        if given and ":" not in given and not given.startswith("["):
-            given = f"[{given}]"  # held at a value
-        if given.startswith("["):
-            variables.append(_of_catalogue(name, given, what))
-            continue
         if given:
-            ends = _ends(name, given, what.unit)
+            variable = read_input(scene, name, given, FORMS_OF_DESIGN, what)
+            if variable.values:
+                variable = _of_catalogue(variable)
+            ends = variable.low, variable.high
+            is_whole = not variable.values and _is_wide(ends, usual.get(name))
+            variable = dataclasses.replace(variable, is_whole=is_whole)
         elif name in usual:
-            ends = usual[name]
+            variable = Input(name, what.unit).between(*usual[name])
+            for end in usual[name]:
+                accept(end, what, f"free {name}")
         else:
-            raise SceneError(f"free {name}: must have a range, {name}=LOW:HIGH, or [A,B,..]")
-        for end in ends:
-            accept(end, what, f"free {name}")
-        if not ends[0] < ends[1]:
-            raise SceneError(f"free {name} = {given}: must be LOW < HIGH")
-        whole = not given or _is_wide(ends, usual.get(name))
-        variables.append(FreeVariable(name, *ends, what.unit, (), bool(given), whole))
-    names = {variable.name for variable in variables}
+            raise SceneError(f"free {name}: must have a range, {name}=LOW:HIGH, or values")
+        variables[name] = variable
     if not variables:
         raise SceneError("free: must have one value or more")
-    if all(len(each.choices) == 1 for each in variables):
+    if all(len(each.values) == 1 for each in variables.values()):
         held = ", ".join(free)
         raise SceneError(f"free {held}: nothing to search: one must have a range or more values")
-    if {DAMPING_RATIO, "buffer.c_A"} <= names:
+    if {DAMPING_RATIO, "buffer.c_A"} <= set(variables):
         raise SceneError(f"free {DAMPING_RATIO}: must be without buffer.c_A, which it gives")
-    return tuple(variables)
+    return tuple(variables.values())
+
+
+def _of_catalogue(given: Input) -> Input:
+    """Return an input whose values are sorted and different."""
+    values = tuple(sorted(set(given.values)))
+    return dataclasses.replace(given, values=values, low=values[0], high=values[-1])
 
 
 def _declaration(scene: Scene, name: str) -> Declared:
@@ -165,34 +110,6 @@ def _declaration(scene: Scene, name: str) -> Declared:
             f"free {name}: must not be free with buffer.force_table, which gives the spring"
         )
     return what
-
-
-def _of_catalogue(name: str, given: str, what: Declared) -> FreeVariable:
-    """Return the variable of a catalogue, e.g. ``[450,500,560]``."""
-    items = [item.strip() for item in given[1:].removesuffix("]").split(",") if item.strip()]
-    try:
-        if not given.endswith("]") or not items:
-            raise ValueError(given)
-        choices = sorted({in_si(item, what.unit) for item in items})
-    except ValueError:
-        raise SceneError(
-            f"free {name} = {given}: must be LOW:HIGH, [A,B,..] or a value in {what.unit or '1'}"
-        ) from None
-    for choice in choices:
-        accept(choice, what, f"free {name}")
-    return FreeVariable(name, choices[0], choices[-1], what.unit, tuple(choices), True, False)
-
-
-def _ends(name: str, given: str, unit: str) -> tuple[float, float]:
-    low, colon, high = given.partition(":")
-    try:
-        if not colon:
-            raise ValueError(given)
-        return in_si(low, unit), in_si(high, unit)
-    except ValueError:
-        raise SceneError(
-            f"free {name} = {given}: must be LOW:HIGH, [A,B,..] or a value in {unit or '1'}"
-        ) from None
 
 
 def _is_wide(ends: tuple[float, float], usual: tuple[float, float] | None) -> bool:

@@ -91,7 +91,7 @@ def _draw_values(axes: Axes, design: Design, picked: int | None) -> None:
     at = np.arange(len(variables))
     ends = []
     for number, (row, colour) in enumerate(zip(design.rows, colours, strict=True), 1):
-        shares = [each.share(row.candidate.values[each.name]) for each in variables]
+        shares = [each.position(row.candidate.values[each.name]) for each in variables]
         is_picked = number - 1 == picked
         axes.plot(at, shares, "o-", color=colour, lw=3.0 if is_picked else 1.5)
         ends.append((float(shares[-1]), number))

@@ -136,8 +136,8 @@ def asked_of(design: Design, command: str, seed: int, budget: int) -> dict[str, 
         held = "in the capture zone at the end of the run and at ten times its end"
         held += ", not behind BE" if requirements.hold_at_be else "; it may pass BE"
     searched = [
-        f"{each.name} {', '.join(f'{x:.4g}' for x in each.choices)} {each.unit}"
-        if each.choices
+        f"{each.name} {', '.join(f'{x:.4g}' for x in each.values)} {each.unit}"
+        if each.values
         else f"{each.name} {each.low:.4g} to {each.high:.4g} {each.unit}"
         for each in design.variables
     ]

@@ -23,7 +23,6 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator
 
 from capture_sim.run.loads import LOADS
-from capture_sim.studies.axes import Axis, typed_unit
 from capture_sim.studies.capture_range import CaptureRange
 from capture_sim.studies.dispersion import (
     CAPTURED_LEFT,
@@ -36,6 +35,7 @@ from capture_sim.studies.dispersion import (
     plain_rows,
     rank_correlations,
 )
+from capture_sim.studies.inputs import Input, is_drawn, typed_unit
 from capture_sim.studies.limits import Limit
 from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.sweep import FAILED
@@ -72,7 +72,7 @@ def _load(name: str) -> _Shown:
     return _Shown(load.meaning, load.shown_in, load.factor)
 
 
-def _input(axis: Axis) -> _Shown:
+def _input(axis: Input) -> _Shown:
     unit, factor = typed_unit(axis)
     if unit == axis.unit:
         usual = {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0)), "1": ("", 1.0)}
@@ -82,7 +82,7 @@ def _input(axis: Axis) -> _Shown:
 
 def draw_sweep(
     table: pandas.DataFrame,
-    axes: Sequence[Axis],
+    axes: Sequence[Input],
     title: str,
     indices: Sequence[Indices] = (),
     limits: Sequence[Limit] = (),
@@ -136,15 +136,14 @@ def draw_table(table: pandas.DataFrame) -> Figure:
     """Return the main figure of the table of a sweep; ValueError if every run failed."""
     units, axes = table.attrs["units"], []
     for name, text in table.attrs["inputs"].items():
-        is_drawn = "(" in text  # as a distribution is given
-        values = () if is_drawn else tuple(table[name].unique())
-        axes.append(Axis(name, units[name], values, is_drawn or None, text))
+        values = () if is_drawn(text) else tuple(table[name].unique())
+        axes.append(Input(name, units[name], values, is_drawn(text) or None, text=text))
     if not (figures := draw_sweep(table, axes, table.attrs["scene"])):
         raise ValueError("nothing to plot: no run of the sweep could be computed")
     return next(iter(figures.values()))
 
 
-def draw_curve(table: pandas.DataFrame, axis: Axis, title: str, limits: Sequence[Limit]) -> Figure:
+def draw_curve(table: pandas.DataFrame, axis: Input, title: str, limits: Sequence[Limit]) -> Figure:
     """Return a figure of the main loads over the values of one input, with a panel for each load.
 
     With one run at each value, the runs are joined by a line, and markers show their outcomes.
@@ -209,7 +208,7 @@ def _mark_limits(draw_line: Callable[..., Any], load: str, limits: Sequence[Limi
             draw_line(at, color=style.VERMILION, lw=2.0, label=f"limit {at:.4g}")
 
 
-def _draw_probability(panel: Axes, table: pandas.DataFrame, axis: Axis, factor: float) -> None:
+def _draw_probability(panel: Axes, table: pandas.DataFrame, axis: Input, factor: float) -> None:
     groups = [(value, hold_probability(rows)) for value, rows in table.groupby(axis.name)]
     at = np.array([value for value, _ in groups]) * factor
     low, estimate, high = np.array([[p.low, p.estimate, p.high] for _, p in groups]).T
@@ -221,7 +220,7 @@ def _draw_probability(panel: Axes, table: pandas.DataFrame, axis: Axis, factor: 
 
 def draw_map(
     table: pandas.DataFrame,
-    axes: Sequence[Axis],
+    axes: Sequence[Input],
     title: str,
     limits: Sequence[Limit] = (),
     ranges: Mapping[tuple[Any, ...], CaptureRange] | None = None,
@@ -317,7 +316,7 @@ def _levels(force: np.ndarray) -> np.ndarray:
 
 
 def _draw_verdicts(
-    panel: Axes, page: pandas.DataFrame, across: Axis, up: Axis, levels: np.ndarray
+    panel: Axes, page: pandas.DataFrame, across: Input, up: Input, levels: np.ndarray
 ) -> None:
     names = [*_OUTCOMES, FAILED]
     numbers = page.assign(number=page["outcome"].map(names.index))

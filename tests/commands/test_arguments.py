@@ -24,7 +24,7 @@ from capture_sim import SceneError, load_scene
 from capture_sim.base.exit_status import BAD_INPUT
 from capture_sim.cli import command_parser, main
 from capture_sim.commands import COMMANDS, GROUPS, OPTIONS
-from capture_sim.studies.axes import FAMILIAR, make_axis
+from capture_sim.studies.inputs import FAMILIAR, read_input
 
 EXAMPLES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "25"))
 some = settings(
@@ -125,7 +125,7 @@ def test_an_axis_has_finite_values_or_is_rejected_in_a_line(name, text):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            axis = make_axis(load_scene("tilt_0"), name, text)
+            axis = read_input(load_scene("tilt_0"), name, text)
         except SceneError as error:
             said = str(error)
             assert said.startswith(name)

@@ -11,7 +11,6 @@ import pytest
 from measured_trials import measured_trial, short_scene
 
 from capture_sim.errors import SceneError
-from capture_sim.studies.axes import make_axis
 from capture_sim.studies.calibration import prediction
 from capture_sim.studies.calibration.files import (
     KIND,
@@ -22,6 +21,7 @@ from capture_sim.studies.calibration.files import (
 from capture_sim.studies.calibration.new_trial import agreement_of
 from capture_sim.studies.calibration.parameters import parameters_of
 from capture_sim.studies.calibration.prediction import Placement
+from capture_sim.studies.inputs import read_input
 from capture_sim.studies.sampling import make_samples
 
 NAMES = ("c_rr", "mu", "buffer.k_A")
@@ -34,7 +34,7 @@ TRUE = {"friction.mu": 0.27, "buffer.k_A": 560.0}
 
 def test_draws_have_the_covariance_of_the_calibration():
     vary, correlations = calibrated_dispersions(BENCH)
-    axes = [make_axis(short_scene(), name, given) for name, given in vary.items()]
+    axes = [read_input(short_scene(), name, given) for name, given in vary.items()]
     rows = np.array(make_samples(axes, 4000, correlations=correlations).rows)
     names = [axis.name for axis in axes]
     assert names == ["supports.chaser.c_rr", "supports.target.c_rr", "friction.mu", "buffer.k_A"]
@@ -129,7 +129,7 @@ def test_a_draw_is_simulated_once_for_each_kind_of_error(monkeypatch, placement)
     monkeypatch.setattr(prediction, "_run", counted)
     scene = short_scene(0.1)
     parameters = parameters_of(scene, NAMES)
-    place = np.array([p.coordinate(p.begin) for p in parameters])
+    place = np.array([p.position(p.begin) for p in parameters])
     found = prediction.predict(scene, parameters, place, 1e-6 * np.eye(3), placement, draws=6)
     assert found.failed == 1
     # the bench itself, then each draw without and perhaps with errors of the placement

@@ -6,8 +6,8 @@ import pytest
 from capture_sim import SceneError, load_scene
 from capture_sim.cli import main
 from capture_sim.scene.loading import change_scene
-from capture_sim.studies.axes import Axis
 from capture_sim.studies.capture_range import area_of_map, capture_ranges, make_area, points_of
+from capture_sim.studies.inputs import Input
 from capture_sim.studies.outcome import run_to_end
 
 NAMES = ("approach.offset", "approach.angle", "approach.speed")
@@ -16,7 +16,7 @@ NAMES = ("approach.offset", "approach.angle", "approach.speed")
 def area(*counts):
     """Return an area from -1 to 1 along each axis."""
     return tuple(
-        Axis(name, "", tuple(np.linspace(-1.0, 1.0, count).tolist()))
+        Input(name, "", tuple(np.linspace(-1.0, 1.0, count).tolist()))
         for name, count in zip(NAMES, counts, strict=False)
     )
 
@@ -98,7 +98,7 @@ def test_the_docking_standard_is_a_ready_area():
 
 def test_the_area_of_a_map_is_what_it_shows_of_the_approach():
     offset, angle, speed = area(9, 5, 2)
-    damper = Axis("buffer.c_A", "N s/m", (5.0, 10.0, 15.0))
+    damper = Input("buffer.c_A", "N s/m", (5.0, 10.0, 15.0))
     assert area_of_map([offset, angle, speed]) == (offset, angle)
     assert area_of_map([damper, offset]) == (offset,)
     assert area_of_map([damper]) == ()

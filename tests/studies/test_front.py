@@ -8,9 +8,9 @@ import pytest
 from capture_sim import SceneError
 from capture_sim.studies.candidates import Candidate, Requirements
 from capture_sim.studies.front import knee, layers, spread_points
+from capture_sim.studies.inputs import Input
 from capture_sim.studies.limit_costs import limit_costs
 from capture_sim.studies.limits import make_limits, make_objectives
-from capture_sim.studies.variables import FreeVariable
 
 
 def test_layers_are_fronts_one_behind_the_other():
@@ -54,7 +54,7 @@ def test_what_is_no_objective_is_rejected_in_a_line(minimize, maximize, message)
         make_objectives(minimize, maximize)
 
 
-VARIABLES = (FreeVariable("x", 0.1, 10.0), FreeVariable("y", 1.0, 2.0))
+VARIABLES = (Input("x").between(0.1, 10.0), Input("y").between(1.0, 2.0))
 
 
 def evaluations(force):

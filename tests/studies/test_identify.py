@@ -86,10 +86,10 @@ def test_noise_is_found_in_the_series():
 @pytest.mark.parametrize(
     "names, said",
     [
-        (("friction.nu",), "parameter friction.nu: no number of tilt_0; did you mean friction.mu"),
+        (("friction.nu",), "friction.nu: no number of tilt_0; did you mean friction.mu"),
         (("friction.law",), "parameter friction.law"),
         (("mu", "mu"), "must be given once"),
-        (("stops.stiffness",), "parameter stops.stiffness"),
+        (("stops.stiffness",), "stops.stiffness"),
         (
             ("run.t_end",),
             "parameter run.t_end: must be one of c_rr, e, mu, c_A, drag, or a number of the",
@@ -98,9 +98,9 @@ def test_noise_is_found_in_the_series():
             ("mu", "detector.capture_radius"),
             "parameter detector.capture_radius: .* not of run, detector, sensors",
         ),
-        (("sensors.seed",), "parameter sensors.seed"),
-        (("probe.rod_mass",), "parameter probe.rod_mass"),
-        (("friction.mu.real",), "parameter friction.mu.real"),
+        (("sensors.seed",), "sensors.seed"),
+        (("probe.rod_mass",), "probe.rod_mass"),
+        (("friction.mu.real",), "friction.mu.real"),
         (("string.hanging_mass",), "parameter string.hanging_mass: .* as recorded"),
     ],
 )

@@ -78,7 +78,7 @@ def test_calibrate_finds_what_one_run_was_made_with(path, tmp_path, capsys):
     assert main([*command, "--set", "buffer.k_A=400", "--restarts", "0"]) == 1
     assert "not found: " in capsys.readouterr().out
     assert main(["calibrate", str(path), "--fit", "colour"]) == 2
-    assert "parameter colour: no number of tilt_0; " in capsys.readouterr().err
+    assert "colour: no number of tilt_0; " in capsys.readouterr().err
 
 
 def test_a_frame_of_the_cameras_that_is_taken_out_is_said(tmp_path, capsys):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from capture_sim.studies.candidates import Candidate
+from capture_sim.studies.inputs import Input
 from capture_sim.studies.limits import make_objectives
 from capture_sim.studies.refinement import CandidatePoints, Goal, nelder_mead, refine
-from capture_sim.studies.variables import FreeVariable
 
 FORCE = make_objectives(["max_buffer_force"])
 TRADED = make_objectives(["max_axial_stroke_in", "max_buffer_force"])
@@ -56,7 +56,7 @@ def candidates_of(force):
 
 def test_a_row_is_the_least_force_at_its_stroke():
     """Two basins; force 3 / x in the better one, which is on a kink."""
-    variables = (FreeVariable("x", 0.001, 0.1), FreeVariable("y", 1.0, 100.0))
+    variables = (Input("x").between(0.001, 0.1), Input("y").between(1.0, 100.0))
 
     def force(values):
         x, y = values["x"], values["y"]
@@ -76,7 +76,7 @@ def test_a_row_is_the_least_force_at_its_stroke():
 
 def test_a_catalogue_is_searched_by_its_items_alone():
     items = (1.0, 3.0, 4.0, 9.0, 20.0)
-    variables = (FreeVariable("x", 0.001, 0.1), FreeVariable("y", 1.0, 20.0, choices=items))
+    variables = (Input("x").between(0.001, 0.1), Input("y", values=items, low=1.0, high=20.0))
     tried = []
 
     def force(values):
@@ -95,7 +95,7 @@ def test_a_catalogue_is_searched_by_its_items_alone():
 
 
 def test_a_budget_that_ends_is_said_and_kept():
-    points = CandidatePoints((FreeVariable("x", 0.1, 10.0),), FORCE)
+    points = CandidatePoints((Input("x").between(0.1, 10.0),), FORCE)
     evaluate = candidates_of(lambda values: values["x"])
     points.add(evaluate([{"x": 5.0}]))
     left = [30]

@@ -25,7 +25,7 @@ import capture_sim
 from capture_sim.errors import RecordingError
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
-from capture_sim.studies.axes import Axis
+from capture_sim.studies.inputs import Input
 from capture_sim.viewing import figures, plots
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.shapes import tip_in_cone
@@ -216,7 +216,7 @@ def test_a_map_has_no_contours_around_single_runs():
     table.loc[(table["a"] == 5.0) & (table["b"] == 5.0), "max_normal_force"] = 500.0
     table.loc[(table["a"] > 8.0) & (table["b"] > 8.0), "max_normal_force"] = 0.0
     table["outcome"] = table["verdict"] = "captured"
-    axes = [Axis(name, "1", tuple(at)) for name in ("a", "b")]
+    axes = [Input(name, "1", tuple(at)) for name in ("a", "b")]
     [panel] = draw_map(table, axes, "plane").axes
     [lines] = [each for each in panel.collections if isinstance(each, QuadContourSet)]
     pieces = [piece for path in lines.get_paths() for piece in path.to_polygons(closed_only=False)]

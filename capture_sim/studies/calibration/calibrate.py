@@ -20,12 +20,7 @@ from capture_sim.studies.calibration.descent import RESTARTS
 from capture_sim.studies.calibration.fitting import fit_trials
 from capture_sim.studies.calibration.frame import first_poses
 from capture_sim.studies.calibration.held import held_parameters, uncertainties
-from capture_sim.studies.calibration.parameters import (
-    COMPUTED,
-    Weighed,
-    parameters_of,
-    read_weighed,
-)
+from capture_sim.studies.calibration.parameters import COMPUTED, parameters_of, read_weighed
 from capture_sim.studies.calibration.prediction import (
     Placement,
     Prediction,
@@ -35,6 +30,7 @@ from capture_sim.studies.calibration.prediction import (
 from capture_sim.studies.calibration.profiles import Profile, check_profiled, profile_of
 from capture_sim.studies.calibration.result import UNFINISHED, Calibration
 from capture_sim.studies.calibration.trial import FittedTrial, launched, resolved, trial_of
+from capture_sim.studies.inputs import Known
 
 #: Number of first touches that are fitted; default standard deviations of their times, s, and
 #: peak forces, N, if the recording gives none.
@@ -51,7 +47,7 @@ def calibrate(
     trials: Sequence[Run],
     fit: Sequence[str] | None = None,
     *,
-    weighed: Mapping[str, str | Weighed] | None = None,
+    weighed: Mapping[str, str | Known] | None = None,
     uncertain: Mapping[str, str | float] | None = None,
     predict: Scene | str | Path | None = None,
     placement: str | Placement | None = None,
@@ -187,7 +183,7 @@ def calibrate(
     return dataclasses.replace(found, weighed=known, notes=_notes(trials, prepared, doubted))
 
 
-def _launched_with(trial: FittedTrial, launch: Mapping[str, Weighed]) -> FittedTrial:
+def _launched_with(trial: FittedTrial, launch: Mapping[str, Known]) -> FittedTrial:
     """Return a trial with weighed values of its launch.
 
     Raise SceneError if a value is not within 5 % of the recorded one.

@@ -18,14 +18,9 @@ import numpy as np
 from capture_sim.scene.parts import Scene, Stops
 from capture_sim.scene.paths import expanded, get, range_of, with_values
 from capture_sim.studies.calibration.joint import Asked, Linear, Problem
-from capture_sim.studies.calibration.parameters import (
-    COMPUTED,
-    SENSOR_ERRORS,
-    Parameter,
-    declaration,
-    default_names,
-)
+from capture_sim.studies.calibration.parameters import COMPUTED, SENSOR_ERRORS, default_names
 from capture_sim.studies.calibration.trial import sensor_column
+from capture_sim.studies.inputs import Input, declaration_of
 
 #: Gain above which a candidate is reported; by chance, one in 100 000 candidates has it.
 NAMED = 20.0
@@ -126,10 +121,10 @@ def differing(at: Linear, problem: Problem, number: int, fitted: int) -> list[tu
     return sorted(found, key=lambda each: -each[0].gain)
 
 
-def needed(at: Linear, problem: Problem, held: Parameter) -> Score | None:
+def needed(at: Linear, problem: Problem, held: Input) -> Score | None:
     """Return the score of a held value of the scene; None if it cannot be another one."""
-    assert held.weighed is not None
-    step = held.weighed.error
+    assert held.known is not None
+    step = held.known.error
     return _field_score(at, problem, _Field(held.name, "a held value", lambda scene: step))
 
 
@@ -187,7 +182,7 @@ def _field_score(at: Linear, problem: Problem, field: _Field) -> Score | None:
         value = COMPUTED[path](fitted)
     value = float(fields.get(path, value))
     low, high = range_of(scene, path)
-    unit, step = declaration(scene, path).unit, field.guess(scene)
+    unit, step = declaration_of(scene, path).unit, field.guess(scene)
     if not step > 0.0:
         return None
     step = step if value + step < high else -step

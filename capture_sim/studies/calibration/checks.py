@@ -16,8 +16,8 @@ import numpy as np
 
 from capture_sim.studies.calibration.descent import Found
 from capture_sim.studies.calibration.joint import UNDETERMINED, Linear, Problem, inverse
-from capture_sim.studies.calibration.parameters import Parameter
 from capture_sim.studies.calibration.trial import OWN_SIZE, FittedTrial
+from capture_sim.studies.inputs import Input
 
 #: Duration of the means of residuals, s.
 BLOCK = 0.03
@@ -279,7 +279,7 @@ def undetermined(at: Linear, k: int) -> list[tuple[np.ndarray, float]]:
     return found
 
 
-def direction_words(parameters: Sequence[Parameter], direction: np.ndarray) -> tuple[str, str]:
+def direction_words(parameters: Sequence[Input], direction: np.ndarray) -> tuple[str, str]:
     """Return what a direction that is not determined means, in words, and advice what to do."""
     main = np.flatnonzero(np.abs(direction) > 0.25 * np.abs(direction).max()).tolist()
     names = [parameters[i].name for i in main]
@@ -300,7 +300,7 @@ def direction_words(parameters: Sequence[Parameter], direction: np.ndarray) -> t
     return text, "leave one out of the fit, or give it by --weighed"
 
 
-def at_bounds(place: np.ndarray, problem: Problem, fitted: int) -> list[Parameter]:
+def at_bounds(place: np.ndarray, problem: Problem, fitted: int) -> list[Input]:
     """Return which of the first parameters are at an end of their range at a place (d,).
 
     A held value may be there, e.g. a drag of 0.

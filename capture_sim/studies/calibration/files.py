@@ -15,9 +15,10 @@ from capture_sim.errors import SceneError
 from capture_sim.run.origin import scene_origin
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import expanded
-from capture_sim.studies.calibration.parameters import SENSOR_ERRORS, Weighed
+from capture_sim.studies.calibration.parameters import SENSOR_ERRORS
 from capture_sim.studies.calibration.prediction import Prediction
 from capture_sim.studies.calibration.result import STARTS, Calibration
+from capture_sim.studies.inputs import Known
 
 #: Kind and version of the file.
 KIND, VERSION = "capture_sim calibration", 1
@@ -152,7 +153,7 @@ class Calibrated:
     is_found: bool
     findings: tuple[str, ...]
     #: Held values by name: the scene's, and what the fit found of them with its standard error; SI.
-    held: Mapping[str, tuple[float, Weighed]] = field(default_factory=dict)
+    held: Mapping[str, tuple[float, Known]] = field(default_factory=dict)
     verdict: str = "found"
 
     @property
@@ -175,13 +176,13 @@ class Calibrated:
         return {path: float(self.values[k]) for k in self.of_bench for path in self.paths(k)}
 
     @property
-    def weighed(self) -> dict[str, Weighed]:
+    def weighed(self) -> dict[str, Known]:
         """Value and standard error of each scene parameter by name, as if it had been weighed.
 
         The correlations are lost.
         """
         return {
-            self.names[k]: Weighed(float(self.values[k]), float(self.errors[k]))
+            self.names[k]: Known(float(self.values[k]), float(self.errors[k]))
             for k in self.of_bench
         }
 
@@ -213,7 +214,7 @@ def read_calibrated(path: Path) -> Calibrated:
         held = {
             str(one["name"]): (
                 float(one["value"]),
-                Weighed(float(one["fitted"]), float(one["known_to"])),
+                Known(float(one["fitted"]), float(one["known_to"])),
             )
             for one in data.get("held", [])
         }

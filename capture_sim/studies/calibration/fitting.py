@@ -50,7 +50,7 @@ from capture_sim.studies.calibration.lacking import (
     what_lacks,
     with_one_more,
 )
-from capture_sim.studies.calibration.parameters import SENSOR_ERRORS, Parameter, begins
+from capture_sim.studies.calibration.parameters import SENSOR_ERRORS, begins
 from capture_sim.studies.calibration.result import (
     UNFINISHED,
     USABLE_CHI2,
@@ -61,6 +61,7 @@ from capture_sim.studies.calibration.result import (
 )
 from capture_sim.studies.calibration.trial import FittedTrial
 from capture_sim.studies.executors import InProcess
+from capture_sim.studies.inputs import Input
 
 #: Largest number of search steps after the held values have joined.
 _HELD_STEPS = 12
@@ -84,13 +85,13 @@ _ELSEWHERE = 0.15
 
 def fit_trials(
     trials: Sequence[FittedTrial],
-    parameters: Sequence[Parameter],
+    parameters: Sequence[Input],
     *,
     restarts: int = RESTARTS,
     seed: int = 0,
     report: Callable[[int, int], None] | None = None,
     has_scores: bool = True,
-    held: Sequence[Parameter] = (),
+    held: Sequence[Input] = (),
     executor: Executor | None = None,
 ) -> Calibration:
     """Fit parameters to trials and test the fit; see :func:`capture_sim.calibrate`.
@@ -237,7 +238,7 @@ class _Fitting:
             self.joined = self.found.best
         self._keep(self.found.best.linear)
 
-    def join_one_by_one(self, held: Sequence[Parameter]) -> None:
+    def join_one_by_one(self, held: Sequence[Input]) -> None:
         """Fit the held value that explains most of the residuals from the start; others join then.
 
         A fit that began with wrong values of them may have ended where they do not help.
@@ -267,7 +268,7 @@ class _Fitting:
             if self.joins(held):
                 return
 
-    def joins(self, held: Sequence[Parameter]) -> bool:
+    def joins(self, held: Sequence[Input]) -> bool:
         """Let held values join the fit as weighed parameters, and go on for a few steps.
 
         Return False if no search from here explains the trials.

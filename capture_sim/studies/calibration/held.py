@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,14 +19,8 @@ from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import LAUNCH, get, range_of
 from capture_sim.scene.units import in_si
-from capture_sim.studies.calibration.parameters import (
-    SENSOR_ERRORS,
-    Parameter,
-    Weighed,
-    declaration,
-    parameters_of,
-    paths_known,
-)
+from capture_sim.studies.calibration.parameters import SENSOR_ERRORS, parameters_of, paths_known
+from capture_sim.studies.inputs import LOGARITHM, Input, Known, declaration_of
 
 #: Standard uncertainties of the sensors' errors that are held by default, SI: no marker frame is
 #: exactly the body's, no encoder exactly in step with the cameras, no gain exactly 1, and no zero
@@ -108,7 +102,7 @@ def uncertainties(
             value = number_at(scene, path)
             if value is None:
                 raise SceneError(f"uncertain {name}: is not a number of {scene.name}")
-            found[path] = _error_of(name, declaration(scene, path).unit, value, text)
+            found[path] = _error_of(name, declaration_of(scene, path).unit, value, text)
     return {path: error for path, error in found.items() if error > 0.0}
 
 
@@ -135,7 +129,7 @@ def _error_of(name: str, unit: str, value: float, text: str | float) -> float:
     return error
 
 
-def held_parameters(scenes: Sequence[Scene], errors: Mapping[str, float]) -> tuple[Parameter, ...]:
+def held_parameters(scenes: Sequence[Scene], errors: Mapping[str, float]) -> tuple[Input, ...]:
     """Return the held values as weighed parameters.
 
     ``errors``: standard uncertainties by path, see :func:`uncertainties`.  A value of the launch is
@@ -145,18 +139,19 @@ def held_parameters(scenes: Sequence[Scene], errors: Mapping[str, float]) -> tup
     for path, error in errors.items():
         sensor = SENSOR_ERRORS.get(path)
         value = float(get(scene, path)) if sensor is None else sensor.value
-        weighed = Weighed(value, error)
+        known = Known(value, error)
         if path not in LAUNCH:
-            (parameter,) = parameters_of(scene, [path], {path: weighed})
+            (parameter,) = parameters_of(scene, [path], {path: known})
             found.append(parameter)
         elif all(get(other, path) == value for other in scenes):
-            unit, limits = declaration(scene, path).unit, range_of(scene, path)
-            found.append(Parameter(path, value, unit, *limits, (path,), True, weighed=weighed))
+            unit, limits = declaration_of(scene, path).unit, range_of(scene, path)
+            one = Input(path, unit, (), None, *limits, LOGARITHM, (path,))
+            found.append(replace(one, begin=value, known=known))
     return tuple(found)
 
 
 def held_of(
-    parameters: Sequence[Parameter], coordinates: np.ndarray, covariance: np.ndarray, fitted: int
+    parameters: Sequence[Input], coordinates: np.ndarray, covariance: np.ndarray, fitted: int
 ) -> tuple[Held, ...]:
     """Return the held values of a fit in which they are the parameters from ``fitted`` on.
 
@@ -166,11 +161,11 @@ def held_of(
     wide = covariance * np.outer(slopes, slopes)
     found = []
     for j, parameter in enumerate(parameters[fitted:], fitted):
-        assert parameter.weighed is not None
+        assert parameter.known is not None
         error = math.sqrt(max(wide[j, j], 1e-300))
         found.append(
             Held(
-                *(parameter.name, parameter.weighed.value, parameter.weighed.error, parameter.unit),
+                *(parameter.name, parameter.known.value, parameter.known.error, parameter.unit),
                 parameter.value(float(coordinates[j])),
                 error,
                 wide[:fitted, j] / error,

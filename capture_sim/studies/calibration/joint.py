@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capture_sim.studies.calibration.parameters import Parameter
 from capture_sim.studies.calibration.trial import (
     OWN,
     OWN_SIZE,
@@ -32,6 +31,7 @@ from capture_sim.studies.calibration.trial import (
     view,
 )
 from capture_sim.studies.executors import InProcess, answers
+from capture_sim.studies.inputs import Input
 
 #: Longest step of a difference, in coordinates, and step while no covariance is known.
 _LONGEST, _FIRST = 0.03, 0.01
@@ -118,7 +118,7 @@ class Problem:
     """The problem of fitting shared parameters to some trials jointly."""
 
     trials: Sequence[FittedTrial]
-    parameters: Sequence[Parameter]
+    parameters: Sequence[Input]
     simulations: int = 0
     #: Called after each simulation.
     tick: Callable[[], None] = field(default=lambda: None)
@@ -175,7 +175,7 @@ class Problem:
         return self.replaced(cut)
 
     def replaced(
-        self, trials: Sequence[FittedTrial], parameters: Sequence[Parameter] | None = None
+        self, trials: Sequence[FittedTrial], parameters: Sequence[Input] | None = None
     ) -> Problem:
         """Return a problem of other trials or parameters, whose simulations this one counts."""
         parameters = self.parameters if parameters is None else parameters
@@ -354,7 +354,7 @@ class Problem:
         for i, parameter in enumerate(self.parameters):
             if not parameter.paths:
                 column = sensor_column(self.trials[number], one.motion, one.view, parameter.name)
-                columns[:, i] = column * parameter.size
+                columns[:, i] = column * parameter.scale.size
         return columns
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -19,8 +20,9 @@ from capture_sim.studies.calibration.descent import (
     step_covariance,
 )
 from capture_sim.studies.calibration.joint import Linear, Problem
-from capture_sim.studies.calibration.parameters import Parameter, begins, begun_at, parameters_of
+from capture_sim.studies.calibration.parameters import begins, parameters_of
 from capture_sim.studies.calibration.result import Lacking
+from capture_sim.studies.inputs import Input
 
 #: Largest number of lacking parameters, which are added one at a time, and largest number of
 #: candidates that are tried for each.
@@ -86,7 +88,7 @@ def with_one_more(
     problem: Problem,
     at: Linear,
     score: Score,
-    added: Parameter | None = None,
+    added: Input | None = None,
     *,
     grown: bool = False,
 ) -> tuple[Lacking, Problem, Linear] | None:
@@ -100,10 +102,10 @@ def with_one_more(
         (added,) = parameters_of(problem.trials[0].scene, [score.name])
     low, high = added.limits
     start = (
-        added.coordinate(score.estimate)
+        added.position(score.estimate)
         if not added.is_log
         else (
-            added.coordinate(added.begin)
+            added.position(added.begin)
             + float(np.clip(score.estimate / added.begin - 1.0, -0.7, 0.7))
         )
     )
@@ -111,7 +113,9 @@ def with_one_more(
         return None
     start = float(np.clip(start, low, high))
     # an existing parameter that sets the added field too, e.g. c_rr of both vehicles, stays
-    wider = problem.replaced(problem.trials, [*problem.parameters, begun_at(added, score.estimate)])
+    wider = problem.replaced(
+        problem.trials, [*problem.parameters, dataclasses.replace(added, begin=score.estimate)]
+    )
     place = np.insert(at.place, problem.shared, start)
     prior = wider.weighed()
     d = wider.dimension
@@ -150,7 +154,7 @@ def differs_in(at: Linear, problem: Problem, number: int, fitted: int) -> str:
     return f"as if by another {best.name} there{size}"
 
 
-def names_with(name: str, parameters: Sequence[Parameter]) -> list[str]:
+def names_with(name: str, parameters: Sequence[Input]) -> list[str]:
     """Return names of a fit with one more; a short name that has its path gives way to paths."""
     paths = expanded(name)
     found: list[str] = []

@@ -23,16 +23,11 @@ from capture_sim.studies.calibration.files import Calibrated
 from capture_sim.studies.calibration.fitting import fit_trials
 from capture_sim.studies.calibration.frame import Frame
 from capture_sim.studies.calibration.joint import Linear, Problem, inverse
-from capture_sim.studies.calibration.parameters import (
-    SENSOR_ERRORS,
-    Parameter,
-    Weighed,
-    begun_at,
-    parameters_of,
-)
+from capture_sim.studies.calibration.parameters import SENSOR_ERRORS, parameters_of
 from capture_sim.studies.calibration.prediction import Placement
 from capture_sim.studies.calibration.result import STARTS, Start
 from capture_sim.studies.calibration.trial import trial_of
+from capture_sim.studies.inputs import Input, Known
 
 #: Smallest p-value of a test at which a trial agrees with the calibration.
 MIN_P = 1e-3
@@ -126,9 +121,9 @@ def agreement_of(run: Run, calibrated: Calibrated, placement: Placement) -> Tria
     assert found.linear is not None
     k = len(known)
     problem = Problem(found.problem.trials, [*known, *sensors], found.simulations)
-    place = np.concatenate([[p.coordinate(p.begin) for p in known], found.linear.place])
+    place = np.concatenate([[p.position(p.begin) for p in known], found.linear.place])
     spread = np.zeros((problem.dimension, problem.dimension))
-    slopes = np.array([p.slope(p.coordinate(p.begin)) for p in known])
+    slopes = np.array([p.slope(p.position(p.begin)) for p in known])
     spread[:k, :k] = calibrated.covariance / np.outer(slopes, slopes)
     spread[k:, k:] = found.linear.covariance
     at = problem.linear(place, problem.weighed(), spread)
@@ -146,7 +141,7 @@ def agreement_of(run: Run, calibrated: Calibrated, placement: Placement) -> Tria
 
 def _held(
     scene: Scene, calibrated: Calibrated
-) -> tuple[dict[str, float], dict[str, tuple[float, Weighed]], tuple[Parameter, ...]]:
+) -> tuple[dict[str, float], dict[str, tuple[float, Known]], tuple[Input, ...]]:
     """Return what a calibration found of the values that it held.
 
     They are fields of the scene, values of the launch, and errors of sensors.  The last are
@@ -165,16 +160,16 @@ def _held(
     return fields, launch, parameters_of(scene, list(sensors), sensors) if sensors else ()
 
 
-def _parameters(run: Run, calibrated: Calibrated) -> list[Parameter]:
+def _parameters(run: Run, calibrated: Calibrated) -> list[Input]:
     parameters = parameters_of(run.scene, calibrated.names)
     return [
-        begun_at(parameter, float(value))
+        replace(parameter, begin=float(value))
         for parameter, value in zip(parameters, calibrated.values, strict=True)
     ]
 
 
 def _parameter_test(
-    at: Linear, covariance: np.ndarray, known: Sequence[Parameter]
+    at: Linear, covariance: np.ndarray, known: Sequence[Input]
 ) -> tuple[Comparison, str]:
     """Return the test that the trial's parameters are the calibrated ones.
 

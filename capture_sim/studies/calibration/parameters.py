@@ -8,9 +8,8 @@ for the restitution, it is the value divided by its usual size.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,8 +24,15 @@ from capture_sim.scene.paths import (
     usual_size,
     with_values,
 )
-from capture_sim.scene.quantities import Declared, declared
-from capture_sim.scene.units import in_si
+from capture_sim.studies.inputs import (
+    KNOWN,
+    LOGARITHM,
+    Input,
+    Known,
+    Scale,
+    declaration_of,
+    read_input,
+)
 
 #: Parameters that are fitted by default, if they are positive numbers in the scene.
 DEFAULT = (
@@ -93,64 +99,11 @@ SENSOR_ERRORS: Mapping[str, SensorError] = {
 }
 
 
-@dataclass(frozen=True)
-class Weighed:
-    """A value that is known from elsewhere, e.g. from scales."""
-
-    value: float  # SI
-    error: float  # standard error, SI
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A fitted parameter: a number of the bench, or an error of a sensor."""
-
-    name: str
-    begin: float  # value where the search begins, SI
-    unit: str
-    low: float  # range of the value, SI
-    high: float
-    paths: tuple[str, ...] = ()  # in the scene; empty for a sensor's error
-    is_log: bool = False  # True if the coordinate is the logarithm
-    size: float = 1.0  # unit of a coordinate that is no logarithm, SI
-    weighed: Weighed | None = None
-
-    def coordinate(self, value: float) -> float:
-        """Return the coordinate of a value (SI).
-
-        It is minus infinity if it is a logarithm and the value is not positive.
-        """
-        if self.is_log:
-            return math.log(value) if value > 0.0 else -math.inf
-        return value / self.size
-
-    def value(self, coordinate: float) -> float:
-        """Return the value at a coordinate, SI."""
-        return math.exp(min(coordinate, 300.0)) if self.is_log else coordinate * self.size
-
-    def slope(self, coordinate: float) -> float:
-        """Return the derivative of the value (SI) with respect to the coordinate."""
-        return self.value(coordinate) if self.is_log else self.size
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Lower and upper limit of the coordinate."""
-        return self.coordinate(self.low), self.coordinate(self.high)
-
-    @property
-    def prior(self) -> tuple[float, float] | None:
-        """Coordinate of the weighed value and its standard error; None if no value was weighed."""
-        if self.weighed is None:
-            return None
-        centre = self.coordinate(self.weighed.value)
-        return centre, self.weighed.error / self.slope(centre)
-
-
 def parameters_of(
     scene: Scene,
     names: Sequence[str] | None,
-    weighed: Mapping[str, Weighed] | None = None,
-) -> tuple[Parameter, ...]:
+    weighed: Mapping[str, Known] | None = None,
+) -> tuple[Input, ...]:
     """Return the parameters with some names, followed by all others that were weighed.
 
     ``names``: None for those of ``DEFAULT`` that the scene has.  A value that the scene leaves
@@ -195,44 +148,31 @@ def default_names(scene: Scene) -> tuple[str, ...]:
     return tuple(filter(has, DEFAULT))
 
 
-def _parameter(scene: Scene, name: str, weighed: Weighed | None) -> Parameter:
+def _parameter(scene: Scene, name: str, known: Known | None) -> Input:
     if name in SENSOR_ERRORS:
         error = SENSOR_ERRORS[name]
         low, high = (0.5, 2.0) if error.kind == "scale" else (-math.inf, math.inf)
-        begin = error.value if weighed is None else weighed.value
-        return Parameter(name, begin, error.unit, low, high, (), size=error.size, weighed=weighed)
+        begin = error.value if known is None else known.value
+        scale = Scale(size=error.size)
+        return Input(name, error.unit, (), None, low, high, scale, begin=begin, known=known)
     if name.startswith(START):
         raise SceneError(f"parameter {name}: is of one trial, and always fitted: must not be named")
     paths = paths_of(scene, name)
     value = float(get(scene, paths[0]))
     low, high = range_of(scene, paths[0])
-    if weighed is not None:
-        if not (low <= weighed.value <= high) or not weighed.error > 0.0:
+    if known is not None:
+        if not (low <= known.value <= high) or not known.error > 0.0:
             raise SceneError(
-                f"weighed {name} = {weighed.value:g} +- {weighed.error:g}: must be {low:g} to "
+                f"weighed {name} = {known.value:g} +- {known.error:g}: must be {low:g} to "
                 f"{high:g}, with an error > 0"
             )
-        value = weighed.value
-    is_log = value > 0.0 and low >= 0.0 and paths[0] != "contact.restitution"
-    size = abs(value) if value and paths[0] != "contact.restitution" else usual_size(name)
-    size = 1.0 if paths[0] == "contact.restitution" else size
-    return Parameter(
-        name, value, declaration(scene, paths[0]).unit, low, high, paths, is_log, size, weighed
-    )
-
-
-def declaration(scene: Scene, path: str) -> Declared:
-    """Return the declaration of the field at a path."""
-    owner, _, name = path.rpartition(".")
-    return declared(type(get(scene, owner) if owner else scene))[name]
-
-
-def begun_at(parameter: Parameter, value: float) -> Parameter:
-    """Return a parameter whose search begins at another value."""
-    return replace(parameter, begin=value)
-
-
-_PLUS_MINUS = re.compile(r"\+-|\+/-|±")
+        value = known.value
+    is_restitution = paths[0] == "contact.restitution"
+    scale = LOGARITHM
+    if not (value > 0.0 and low >= 0.0) or is_restitution:
+        scale = Scale(size=1.0 if is_restitution else abs(value) or usual_size(name))
+    unit = declaration_of(scene, paths[0]).unit
+    return Input(name, unit, (), None, low, high, scale, paths, begin=value, known=known)
 
 
 def paths_known(scene: Scene, name: str) -> tuple[str, ...]:
@@ -242,36 +182,24 @@ def paths_known(scene: Scene, name: str) -> tuple[str, ...]:
     return paths_of(filled(scene, [name]), name)
 
 
-def read_weighed(scene: Scene, text: str) -> tuple[str, Weighed]:
+def read_weighed(scene: Scene, text: str) -> tuple[str, Known]:
     """Return the name and the weighed value (SI) of a text ``NAME=VALUE +- ERROR [UNIT]``.
 
     The error may be in percent of the value.  Hanging mass and drop height can be weighed too.
     Raise SceneError if the text has another form.
     """
     name, sign, given = (part.strip() for part in text.partition("="))
-    parts = [part.strip() for part in _PLUS_MINUS.split(given)]
-    if not sign or len(parts) != 2:
+    if not sign:
         raise SceneError(
             f"weighed {text}: must be NAME='VALUE +- ERROR UNIT', e.g. "
             "chaser.mass='22.6 +- 0.02 kg'"
         )
-    unit = declaration(scene, paths_known(scene, name)[0]).unit
-    value, error = parts
-    _, _, own_unit = error.partition(" ")
-    try:
-        if error.endswith("%"):
-            central = in_si(value, unit)
-            spread = abs(central) * float(error[:-1]) / 100.0
-        else:
-            has_unit = bool(re.search(r"[A-Za-z]", re.sub(r"[eE][-+]?\d+", "", value)))
-            central = in_si(value if has_unit else f"{value} {own_unit}".strip(), unit)
-            spread = in_si(error, unit)
-    except ValueError:
-        in_unit = f" in {unit}" if unit not in ("", "1") else ""
-        raise SceneError(f"weighed {text}: must be two numbers{in_unit}") from None
-    return name, Weighed(central, spread)
+    what = declaration_of(scene, paths_known(scene, name)[0])
+    known = read_input(scene, name, given, (KNOWN,), what).known
+    assert known is not None
+    return name, known
 
 
-def begins(parameters: Sequence[Parameter]) -> np.ndarray:
+def begins(parameters: Sequence[Input]) -> np.ndarray:
     """Return the coordinates (k,) where the search begins."""
-    return np.array([p.coordinate(p.begin) for p in parameters])
+    return np.array([p.position(p.begin) for p in parameters])

@@ -14,7 +14,7 @@ from capture_sim.run.loads import LOADS, loads_of
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import with_values
 from capture_sim.scene.units import in_si
-from capture_sim.studies.calibration.parameters import Parameter
+from capture_sim.studies.inputs import Input
 
 #: Keys of the predicted loads.
 FIGURES = ("max_axial_stroke_in", "max_axial_stroke_out", "max_torsion", "max_normal_force")
@@ -81,7 +81,7 @@ class Prediction:
 
 def predict(
     scene: Scene,
-    parameters: Sequence[Parameter],
+    parameters: Sequence[Input],
     coordinates: np.ndarray,
     covariance: np.ndarray,
     placement: Placement | None = None,

@@ -116,9 +116,9 @@ def _least(problem: Problem, at: Linear, j: int, value: float) -> float:
     other = problem.replaced(problem.trials, parameters)
     # the others go along as the linear model says
     covariance = at.covariance
-    moved = fixed.coordinate(value) - at.place[j]
+    moved = fixed.position(value) - at.place[j]
     place = at.place + covariance[:, j] / covariance[j, j] * moved
-    place[j] = fixed.coordinate(value)
+    place[j] = fixed.position(value)
     low, high = other.limits
     place = np.clip(place, low, high)
     search = descend(other, place, other.weighed(), covariance, most=_STEPS)

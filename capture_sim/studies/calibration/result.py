@@ -25,10 +25,10 @@ from capture_sim.studies.calibration.checks import (
 from capture_sim.studies.calibration.descent import Found, step_covariance
 from capture_sim.studies.calibration.held import Held, held_of
 from capture_sim.studies.calibration.joint import Linear, Problem, inverse
-from capture_sim.studies.calibration.parameters import Weighed
 from capture_sim.studies.calibration.prediction import Prediction
 from capture_sim.studies.calibration.profiles import Profile
 from capture_sim.studies.calibration.trial import OWN_SIZE
+from capture_sim.studies.inputs import Known
 
 #: Names of a trial's start poses.
 STARTS = tuple(f"initial.{v}.{name}" for v in ("chaser", "target") for name in ("x", "y", "theta"))
@@ -101,7 +101,7 @@ class Calibration:
     findings: tuple[Finding, ...]  # reasons to reject the fit; empty if there is none
     simulations: int
     scene: Scene = field(repr=False)  # of the first trial, with the fitted values
-    weighed: Mapping[str, Weighed] = field(default_factory=dict)
+    weighed: Mapping[str, Known] = field(default_factory=dict)
     held: tuple[Held, ...] = ()  # values that were not asked for, with their uncertainties
     noise_errors: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (k,), with these exact
     notes: tuple[str, ...] = ()  # what of the trials was missing or not used
