@@ -21,7 +21,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
@@ -35,7 +35,7 @@ from capture_sim.scene import paths
 from capture_sim.scene.parts import Scene
 from capture_sim.studies.capture_range import capture_ranges, points_of
 from capture_sim.studies.dispersion import Probability, probability
-from capture_sim.studies.executors import answers
+from capture_sim.studies.executors import answers, workers_of
 from capture_sim.studies.inputs import Input
 from capture_sim.studies.limits import CAPTURE_RANGE, LOAD_KEYS, ROUND_OFF, Limit, Measure
 from capture_sim.studies.outcome import CAPTURED
@@ -60,9 +60,9 @@ _WORTH_DRAWS = 0.4
 _WORTH_AREA = 0.1
 #: Bisections of each edge of a capture range; the error of an edge is then 1/32 of a cell.
 _BISECTIONS = 4
-#: Maximum number of runs in one task of a worker, and the number of tasks into which a small
-#: population is divided.
-_RUNS_OF_CHUNK, _CHUNKS = 20, 8
+#: Maximum number of runs in one task of a worker, and the number of tasks of each worker for a
+#: small population.
+_RUNS_OF_CHUNK, _CHUNKS = 20, 4
 
 
 @dataclass(frozen=True)
@@ -140,6 +140,7 @@ class Candidate:
     share: float | None = None  # of draws captured within the limits; None without draws
     range_error: float = math.nan  # error of the capture range
     left_again: bool = False  # the tip was captured, and is outside at t_end
+    behind: float = 0.0  # distance of its centre behind BE at t_end, m; 0 within the capture radius
 
     @property
     def feasible(self) -> bool:
@@ -177,6 +178,7 @@ class _Runs(NamedTuple):
     left_again: list[bool]
     loads: np.ndarray  # (n, keys), SI
     violations: np.ndarray  # (n,)
+    behind: list[float]  # distance of the tip's centre behind BE, m
 
 
 #: Stored results of a run: verdict, left again, closest approach to BE, loads.
@@ -231,6 +233,12 @@ class Archive:
         return self._known.get((kind, names, row))
 
 
+#: Function that returns candidates by their values if all of them were run before, else None.
+KnownOf = Callable[[Sequence[Mapping[str, float]]], list[Candidate] | None]
+#: Function that yields the values of buffers that may be asked for later, the likeliest first.
+Ahead = Callable[[KnownOf], Iterator[Mapping[str, float]]]
+
+
 class Evaluator:
     """Runs buffers and returns them as candidates.
 
@@ -263,12 +271,24 @@ class Evaluator:
             *(self._archive, self._kind),
         )
 
-    def alone(self, values: Sequence[Mapping[str, float]]) -> list[Candidate]:
+    def alone(
+        self, values: Sequence[Mapping[str, float]], ahead: Ahead | None = None
+    ) -> list[Candidate]:
         """Return candidates evaluated by the scene's own run and, if there is one, over the area.
 
-        ``values`` are the free values of each buffer by name, SI.
+        ``values`` are the free values of each buffer by name, SI.  ``ahead`` gives those of buffers
+        that may be asked for later: workers that are free run them, for the archive alone.
         """
-        return self._noted(self._alone(values))
+        return self._noted(self._alone(values, ahead))
+
+    def known(self, values: Sequence[Mapping[str, float]]) -> list[Candidate] | None:
+        """Return candidates that :meth:`alone` would not run; None if it would."""
+        if self._requirements.area:
+            return None
+        for row in (fields_of(self._scene, each) for each in values):
+            if self._archive.get(self._kind, tuple(row), tuple(row.values())) is None:
+                return None
+        return self._alone(values) if values else None
 
     def _noted(self, candidates: list[Candidate]) -> list[Candidate]:
         self.history += candidates
@@ -277,38 +297,50 @@ class Evaluator:
                 self._report(candidate)
         return candidates
 
-    def _alone(self, values: Sequence[Mapping[str, float]]) -> list[Candidate]:
-        runs = self._run([fields_of(self._scene, each) for each in values])
+    def _alone(
+        self, values: Sequence[Mapping[str, float]], ahead: Ahead | None = None
+    ) -> list[Candidate]:
+        hints = ahead(self.known) if ahead is not None else iter(())
+        later = (fields_of(self._scene, each) for each in hints)
+        runs = self._run([fields_of(self._scene, each) for each in values], later)
         found = [
             Candidate(
                 *(each, dict(zip(LOAD_KEYS, loads, strict=True)), verdict, violation),
                 left_again=left_again,
+                behind=behind,
             )
-            for each, loads, verdict, violation, left_again in zip(
+            for each, loads, verdict, violation, left_again, behind in zip(
                 values,
-                *(runs.loads.tolist(), runs.verdicts, runs.violations.tolist(), runs.left_again),
+                *(runs.loads.tolist(), runs.verdicts, runs.violations.tolist()),
+                *(runs.left_again, runs.behind),
                 strict=True,
             )
         ]
         return self._with_ranges(found) if self._requirements.area else found
 
-    def _run(self, rows: Sequence[Mapping[str, float]]) -> _Runs:
+    def _run(
+        self, rows: Sequence[Mapping[str, float]], ahead: Iterable[Mapping[str, float]] = ()
+    ) -> _Runs:
         """Return the results of some runs; runs in the archive are not repeated."""
         names = tuple(rows[0])
         values = [tuple(row.values()) for row in rows]
-        found = [self._archive.get(self._kind, names, row) for row in values]
-        missing = [k for k, result in enumerate(found) if result is None]
-        size = max(min(_RUNS_OF_CHUNK, len(missing) // _CHUNKS), 1)
-        chunks = [missing[k : k + size] for k in range(0, len(missing), size)]
+        known = partial(self._archive.get, self._kind, names)
+        missing = {row: None for row in values if known(row) is None}
+        workers = workers_of(self._executor)
+        if 0 < len(missing) < workers:
+            for row in (tuple(each.values()) for each in itertools.islice(ahead, 4 * workers)):
+                if known(row) is None:
+                    missing[row] = None
+                if len(missing) == workers:
+                    break
+        asked = list(missing)
+        size = max(min(_RUNS_OF_CHUNK, len(asked) // (_CHUNKS * workers)), 1)
+        tasks = [asked[k : k + size] for k in range(0, len(asked), size)]
         work = partial(run_rows, Recipe(self._scene, names), False, (), also=_ALSO)
-        tasks = [[values[k] for k in chunk] for chunk in chunks]
-        for chunk, task, done in zip(
-            chunks, tasks, answers(self._executor, work, tasks), strict=True
-        ):
+        for task, done in zip(tasks, answers(self._executor, work, tasks), strict=True):
             results = [tuple(row[k] for k in self._wanted) for row in done]
             self._archive.add(self._kind, names, task, results)
-            for k, result in zip(chunk, results, strict=True):
-                found[k] = result
+        found = [known(row) for row in values]
         # what happened is kept; what is wanted is asked of it here
         verdicts, left, behind, nearest, *loads = zip(*(e for e in found if e), strict=True)
         by_load = np.array(loads, dtype=float).T
@@ -321,7 +353,7 @@ class Evaluator:
             for x, y, missed in zip(left, behind, misses.tolist(), strict=True)
         ]
         violations = self._violations(verdicts, lefts, np.array(nearest, dtype=float), by_load)
-        return _Runs(list(verdicts), lefts, by_load, violations)
+        return _Runs(list(verdicts), lefts, by_load, violations, list(behind))
 
     def _violations(
         self,
@@ -435,9 +467,12 @@ class Evaluator:
         return runs.loads.reshape(*shape, -1), runs.violations.reshape(shape)
 
     def with_draws(
-        self, draws: Sequence[Mapping[str, float]], values: Sequence[Mapping[str, float]]
+        self,
+        draws: Sequence[Mapping[str, float]],
+        values: Sequence[Mapping[str, float]],
+        _: Ahead | None = None,
     ) -> list[Candidate]:
-        """Return candidates evaluated with draws.
+        """Return candidates evaluated with draws, which occupy the workers.
 
         Candidates far from feasible are evaluated by their own run only.  Candidates that can no
         longer be feasible after the first quarter of the draws are not run with the other draws.

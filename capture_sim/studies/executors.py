@@ -99,6 +99,11 @@ def _interrupts_held() -> Iterator[None]:
         handler(held[0], None)
 
 
+def workers_of(executor: Executor) -> int:
+    """Return the number of runs that an executor makes side by side."""
+    return int(getattr(executor, "workers", 0) or getattr(executor, "_max_workers", 1))
+
+
 def _begin_worker() -> None:
     end_with_parent()
     compile_kernels()
@@ -114,7 +119,9 @@ def open_executor(workers: int | None = None, scheduler: str | None = None) -> I
     workers = workers or len(os.sched_getaffinity(0))
     if scheduler is not None:
         with _dask_client(scheduler) as client:
-            yield client.get_executor(pure=False)
+            executor = client.get_executor(pure=False)
+            executor.workers = sum(client.ncores().values())
+            yield executor
     elif workers > 1:
         with ExitStack() as stack:
             with _interrupts_held():

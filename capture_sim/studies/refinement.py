@@ -6,21 +6,24 @@ Nelder and Mead (1965) needs neither gradients nor smoothness, and several start
 Ten times the largest excess of a limit or ceiling is added to the goal (an exact penalty).
 
 All goals choose their starts from the same archive of candidates, so each goal benefits from the
-candidates of the other goals.  Each round evaluates one candidate of every search, and parallel
-workers share these candidates.
+candidates of the other goals.  Each round evaluates what every search needs, and parallel workers
+share these candidates.  Workers that are left run what the searches may need next.
 """
 
 from __future__ import annotations
 
-import contextlib
+import copy
+import heapq
 import itertools
 import math
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 
-from capture_sim.studies.candidates import Candidate
+from capture_sim.studies.candidates import Ahead, Candidate, KnownOf, costs_of
 from capture_sim.studies.inputs import Input
 from capture_sim.studies.limits import Measure
 
@@ -35,6 +38,11 @@ _OF_START = 0.2
 #: Size of a simplex, in shares of the ranges, at which it has converged; factor on the size of the
 #: new simplex that is then started around its best point.
 _SMALL, _NEXT = 1e-6, 0.3
+#: Shares of the outcomes in a design of tilt_p10.  Of a reflection: worse than the worst corner,
+#: accepted, best, better than the worst corner alone.  Of an expansion: no better, better.  Of a
+#: contraction: accepted, accepted and still the worst corner.
+_OF_REFLECTION, _OF_EXPANSION = (0.55, 0.23, 0.15, 0.07), (0.66, 0.34)
+_OF_CONTRACTION = (0.79, 0.18)
 
 
 @dataclass(frozen=True)
@@ -96,6 +104,11 @@ class CandidatePoints:
         """
         return np.array(self._violations)
 
+    def goal_values_of(self, goal: Goal, candidates: Sequence[Candidate]) -> np.ndarray:
+        """Return the value of a goal for some candidates, (n,)."""
+        violations = np.array([each.violation for each in candidates])
+        return goal.values(costs_of(candidates, self.objectives), violations)
+
     def goal_values(self, goal: Goal) -> np.ndarray:
         """Return the value of a goal for each candidate, (n,)."""
         return goal.values(self.costs, self.violations)
@@ -124,9 +137,16 @@ class CandidatePoints:
         return found
 
 
-#: Function that evaluates candidates by their values.  It returns fewer candidates than requested,
-#: or none, when the budget has ended.
-Evaluate = Callable[[Sequence[Mapping[str, float]]], list[Candidate]]
+class Evaluate(Protocol):
+    """Function that evaluates candidates by their values, and may look ahead.
+
+    It returns fewer candidates than requested, or none, when the budget has ended.
+    """
+
+    def __call__(
+        self, values: Sequence[Mapping[str, float]], ahead: Ahead | None = None, /
+    ) -> list[Candidate]:
+        """Return candidates."""
 
 
 def refine(
@@ -147,7 +167,7 @@ def refine(
     for goal in goals:
         for start in _starts(points, shares, goal):
             firsts.append((goal, _search(points, shares[start], _SIZE, each, rng)))
-        firsts += [(goal, single(x)) for x in _neighbours(points, shares, goal)]
+        firsts += [(goal, Single(x)) for x in _neighbours(points, shares, goal)]
     if not _in_step(firsts, points, evaluate):
         return False
     shares, rest = points.shares, max(runs - _STARTS * each, 1)
@@ -176,31 +196,66 @@ def refine_from(
     return _in_step([(goal, search)], points, evaluate)
 
 
-Search = Generator[np.ndarray, float, None]
+class Search(Protocol):
+    """A search that is asked for points (m, values) and told their values (m,)."""
+
+    def ask(self) -> np.ndarray:
+        """Return the points that it needs now; none if it has ended."""
+
+    def tell(self, values: np.ndarray) -> None:
+        """Take the values of the points."""
+
+    def after(self, values: np.ndarray) -> Search | None:
+        """Return the search as it would be with these values; None if that is not certain."""
+
+    def ahead(self) -> list[tuple[float, Search]]:
+        """Return the search after each outcome of its present points, with its probability."""
 
 
 def _in_step(
     searches: Sequence[tuple[Goal, Search]], points: CandidatePoints, evaluate: Evaluate
 ) -> bool:
     """Advance all searches in step until each has ended; return False if the budget ended."""
-    active = []
-    for goal, search in searches:
-        with contextlib.suppress(StopIteration):
-            active.append((goal, search, next(search)))
-    while active:
-        found = evaluate([points.values_of(x.tolist()) for _, _, x in active])
+    active = [(goal, search, search.ask()) for goal, search in searches]
+    while active := [each for each in active if len(each[2])]:
+        asked = [points.values_of(x) for _, _, wanted in active for x in wanted.tolist()]
+        present = [(goal, search) for goal, search, _ in active]
+        found = evaluate(asked, partial(_looked_ahead, present, points))
         points.add(found)
-        if len(found) < len(active):
+        if len(found) < len(asked):
             return False
-        costs = np.array([each.costs(points.objectives) for each in found])
-        violations = np.array([each.violation for each in found])
-        advanced = []
-        for k, (goal, search, _) in enumerate(active):
-            value = float(goal.values(costs[k : k + 1], violations[k : k + 1])[0])
-            with contextlib.suppress(StopIteration):
-                advanced.append((goal, search, search.send(value)))
-        active = advanced
+        begin = 0
+        for goal, search, wanted in active:
+            own = found[begin : (begin := begin + len(wanted))]
+            search.tell(points.goal_values_of(goal, own))
+        active = [(goal, search, search.ask()) for goal, search, _ in active]
     return True
+
+
+def _looked_ahead(
+    searches: Sequence[tuple[Goal, Search]], points: CandidatePoints, known: KnownOf
+) -> Iterator[Mapping[str, float]]:
+    """Yield what the searches will ask for, then what they may ask for, the likeliest first.
+
+    A search whose points are known goes on to the first that are not.  Free workers run them ahead;
+    no result depends on that.
+    """
+    number = itertools.count()  # orders equal probabilities
+    open_ones = []
+    for goal, search in searches:
+        later: Search | None = search
+        while later is not None:
+            reached = later
+            found = known([points.values_of(x) for x in reached.ask().tolist()])
+            later = None if not found else reached.after(points.goal_values_of(goal, found))
+        if reached is not search:
+            yield from (points.values_of(x) for x in reached.ask().tolist())
+        open_ones.append((-1.0, next(number), reached))
+    while open_ones:
+        likely, _, search = heapq.heappop(open_ones)
+        for probability, after in search.ahead():
+            yield from (points.values_of(x) for x in after.ask().tolist())
+            heapq.heappush(open_ones, (likely * probability, next(number), after))
 
 
 def _starts(points: CandidatePoints, shares: np.ndarray, goal: Goal) -> list[int]:
@@ -227,9 +282,27 @@ def _neighbours(points: CandidatePoints, shares: np.ndarray, goal: Goal) -> list
     return found
 
 
-def single(x: np.ndarray) -> Search:
-    """Search that requests one point only."""
-    yield x
+class Single:
+    """Search that asks for some points once."""
+
+    def __init__(self, x: np.ndarray) -> None:
+        self._asked = np.atleast_2d(x)
+
+    def ask(self) -> np.ndarray:
+        """Return the points, or none after they were told."""
+        return self._asked
+
+    def tell(self, values: np.ndarray) -> None:
+        """End."""
+        self._asked = self._asked[: -len(values)]
+
+    def after(self, values: np.ndarray) -> Search | None:
+        """Return nothing: it asks once."""
+        return None
+
+    def ahead(self) -> list[tuple[float, Search]]:
+        """Return nothing."""
+        return []
 
 
 def _search(
@@ -239,90 +312,148 @@ def _search(
     runs: int,
     rng: np.random.Generator | None,
 ) -> Search:
-    """Search from a start over the values that have a range.
+    """Return a search from a start over the values that have a range.
 
     Values from a catalogue keep the item of the start.
     """
     free = [k for k, each in enumerate(points.variables) if not each.values]
-    if not free:
-        yield from single(start)
-        return
-    inner = nelder_mead(start[free], size, runs, rng)
-    value = None
-    while True:
-        try:
-            x = next(inner) if value is None else inner.send(value)
-        except StopIteration:
-            return
-        whole = start.copy()
-        whole[free] = x
-        value = yield whole
+    return NelderMead(start, size, runs, rng, free) if free else Single(start)
 
 
-def nelder_mead(
-    start: np.ndarray, size: float, runs: int, rng: np.random.Generator | None = None
-) -> Search:
-    """Minimise a function in the unit cube by the method of Nelder and Mead, as a generator.
+class NelderMead:
+    """The method of Nelder and Mead (1965) in the unit cube, asked for points and told values.
 
-    The generator yields points and receives their values.  Points are clipped to the cube.  A
-    simplex that has converged is restarted around its best point, with a smaller size than before.
+    Points are clipped to the cube.  A simplex that has converged is restarted around its best
+    point, with a smaller size than before.
+
+    Parameters
+    ----------
+    start
+        Point (values,) where the search begins.
+    size, runs
+        Edge of the first simplex, and number of points that it may ask for.
+    rng
+        Gives the simplices a random orientation; None: along the axes.
+    free
+        Indices of the values that change; None: all.
     """
-    n, left = start.size, runs
-    best = np.clip(start, 0.0, 1.0)
-    value_of_best = None
-    for round_number in itertools.count():
-        simplex = _simplex(best, size * _NEXT**round_number, n, rng)
-        values = []
-        for k, x in enumerate(simplex):
-            if k == 0 and value_of_best is not None:
-                values.append(value_of_best)
-                continue
-            if not left:
-                return
-            left -= 1
-            values.append((yield x))
-        f = np.array(values)
-        while np.max(np.abs(simplex - simplex[f.argmin()])) > _SMALL:
-            order = np.argsort(f, kind="stable")
-            simplex, f = simplex[order], f[order]
-            if not left:
-                return
-            left -= 1
-            centre = simplex[:-1].mean(axis=0)
-            reflected = np.clip(2.0 * centre - simplex[-1], 0.0, 1.0)
-            of_reflected = yield reflected
-            if of_reflected < f[0]:
-                if not left:
-                    return
-                left -= 1
-                expanded = np.clip(3.0 * centre - 2.0 * simplex[-1], 0.0, 1.0)
-                of_expanded = yield expanded
-                simplex[-1], f[-1] = (
-                    (expanded, of_expanded)
-                    if of_expanded < of_reflected
-                    else (reflected, of_reflected)
-                )
-                continue
-            if of_reflected < f[-2]:
-                simplex[-1], f[-1] = reflected, of_reflected
-                continue
-            if not left:
-                return
-            left -= 1
-            outside = of_reflected < f[-1]
-            towards = reflected if outside else simplex[-1]
-            contracted = 0.5 * (centre + towards)
-            of_contracted = yield contracted
-            if of_contracted < min(of_reflected, float(f[-1])):
-                simplex[-1], f[-1] = contracted, of_contracted
-                continue
-            for k in range(1, n + 1):
-                if not left:
-                    return
-                left -= 1
-                simplex[k] = 0.5 * (simplex[0] + simplex[k])
-                f[k] = yield simplex[k].copy()
-        best, value_of_best = simplex[f.argmin()].copy(), float(f.min())
+
+    def __init__(
+        self,
+        start: np.ndarray,
+        size: float,
+        runs: int,
+        rng: np.random.Generator | None = None,
+        free: Sequence[int] | None = None,
+    ) -> None:
+        self._whole, self._free = start, list(range(start.size)) if free is None else free
+        self._size, self._rng, self._left, self._round = size, rng, runs, 0
+        self._values = np.array([])  # of the first corners of the simplex
+        self._begin(np.clip(start[self._free], 0.0, 1.0))
+
+    def _begin(self, best: np.ndarray) -> None:
+        size = self._size * _NEXT**self._round
+        self._simplex = _simplex(best, size, best.size, self._rng)
+        self._want(NelderMead._corners, self._simplex[len(self._values) :])
+
+    def _want(self, take: Callable[[NelderMead, np.ndarray], None], asked: np.ndarray) -> None:
+        """Ask for points next, and let ``take`` have their values."""
+        self._take, self._asked = take, np.atleast_2d(asked)
+
+    def ask(self) -> np.ndarray:
+        """Return the points that it needs now; none if it has ended."""
+        asked = self._asked[: self._left]
+        whole = np.tile(self._whole, (len(asked), 1))
+        whole[:, self._free] = asked
+        return whole
+
+    def tell(self, values: np.ndarray) -> None:
+        """Take the values of the points."""
+        self._left -= len(values)
+        if len(values) < len(self._asked):
+            self._left = 0
+        else:
+            self._take(self, values)
+
+    def ahead(self) -> list[tuple[float, Search]]:
+        """Return the search after each outcome of one point, with its probability.
+
+        There is none beyond a new simplex.
+        """
+        outcomes = self._outcomes() if self._left > 1 else ()
+        found = [(probability, self.after(np.array([value]))) for probability, value in outcomes]
+        return [(probability, later) for probability, later in found if later is not None]
+
+    def after(self, values: np.ndarray) -> Search | None:
+        """Return the search as it would be with these values; None beyond a new simplex."""
+        later = copy.copy(self)
+        later._rng = None  # the draws of a new simplex are those of the search itself
+        later.tell(values)
+        return later if later._round == self._round and later._left > 0 else None
+
+    def _outcomes(self) -> list[tuple[float, float]]:
+        """Return the probability and a value of each way in which the search may go on."""
+        if self._take is NelderMead._corners:
+            return []
+        best, second, worst = self._values[[0, -2, -1]].tolist()
+        if self._take is NelderMead._reflection:
+            values = worst + 1.0, 0.5 * (best + second), best - 1.0, 0.5 * (second + worst)
+            return list(zip(_OF_REFLECTION, values, strict=True))
+        least = self._of_reflected
+        if self._take is NelderMead._expansion:
+            return list(zip(_OF_EXPANSION, (least, least - 1.0), strict=True))
+        barely = math.nextafter(min(least, worst), -math.inf)
+        return list(zip(_OF_CONTRACTION, (0.5 * (best + second), barely), strict=True))
+
+    def _corners(self, values: np.ndarray) -> None:
+        """Take the values of a new simplex, or of one that has shrunk."""
+        self._values = np.append(self._values, values)
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Ask for the reflected worst corner; begin anew if the simplex is small."""
+        best = self._simplex[self._values.argmin()]
+        if np.max(np.abs(self._simplex - best)) <= _SMALL:
+            self._values, self._round = self._values.min(keepdims=True), self._round + 1
+            self._begin(best.copy())
+            return
+        order = np.argsort(self._values, kind="stable")
+        self._simplex, self._values = self._simplex[order], self._values[order]
+        self._centre = self._simplex[:-1].mean(axis=0)
+        self._reflected = np.clip(2.0 * self._centre - self._simplex[-1], 0.0, 1.0)
+        self._want(NelderMead._reflection, self._reflected)
+
+    def _reflection(self, values: np.ndarray) -> None:
+        value, worst = float(values[0]), self._simplex[-1]
+        self._of_reflected = value
+        if value < self._values[0]:
+            expanded = np.clip(3.0 * self._centre - 2.0 * worst, 0.0, 1.0)
+            self._want(NelderMead._expansion, expanded)
+        elif value < self._values[-2]:
+            self._replace(self._reflected, value)
+        else:
+            towards = self._reflected if value < self._values[-1] else worst
+            self._want(NelderMead._contraction, 0.5 * (self._centre + towards))
+
+    def _expansion(self, values: np.ndarray) -> None:
+        if values[0] < self._of_reflected:
+            self._replace(self._asked[0], float(values[0]))
+        else:
+            self._replace(self._reflected, self._of_reflected)
+
+    def _contraction(self, values: np.ndarray) -> None:
+        if values[0] < min(self._of_reflected, float(self._values[-1])):
+            self._replace(self._asked[0], float(values[0]))
+            return
+        self._simplex = np.vstack([self._simplex[:1], 0.5 * (self._simplex[0] + self._simplex[1:])])
+        self._values = self._values[:1]
+        self._want(NelderMead._corners, self._simplex[1:])
+
+    def _replace(self, point: np.ndarray, value: float) -> None:
+        """Replace the worst corner, in new arrays: searches that look ahead share the old ones."""
+        self._simplex = np.vstack([self._simplex[:-1], point])
+        self._values = np.append(self._values[:-1], value)
+        self._go_on()
 
 
 def _simplex(best: np.ndarray, size: float, n: int, rng: np.random.Generator | None) -> np.ndarray:

@@ -20,9 +20,8 @@ from capture_sim.studies.candidates import Candidate, Evaluator, Requirements, c
 from capture_sim.studies.dispersion import Probability
 from capture_sim.studies.inputs import Input
 from capture_sim.studies.limits import Measure
-from capture_sim.studies.outcome import CAPTURED, run_to_end
+from capture_sim.studies.outcome import CAPTURED
 from capture_sim.studies.refinement import Goal
-from capture_sim.studies.variables import with_values
 
 #: A load that is neither limited nor an objective is reported if it is at least this multiple of
 #: the load with the scene's own buffer.
@@ -85,7 +84,9 @@ def detailed(
         return []
     values = [row.candidate.values for row in rows]
     found = []
-    for row, place in zip(rows, _places(scene, values, evaluators), strict=True):
+    places = _places(scene, values, evaluators)
+    sharp = _sharpnesses(rows, requirements, variables, evaluators[1.0])
+    for row, place, sharpness in zip(rows, places, sharp, strict=True):
         at_ends = [
             f"{each.name} at the {end} end of its range"
             for each in variables
@@ -97,7 +98,7 @@ def detailed(
                 at_ends=tuple(at_ends),
                 stays=None if scene.latch is not None else place.until,
                 grown=_grown(requirements, row.candidate, own),
-                sharpness=_sharpness(row, requirements, variables, evaluators[1.0]),
+                sharpness=sharpness,
                 behind=place.behind,
                 behind_at=place.behind_at,
             )
@@ -135,8 +136,7 @@ def _places(
             if k not in staying:
                 continue
             holds = each.verdict == CAPTURED and not each.left_again
-            of_row = lasting(with_values(scene, values[k]), t_end)
-            behind = run_to_end(of_row).behind if holds else 0.0
+            behind = each.behind if holds else 0.0
             if holds and not behind:
                 places[k] = _Place(t_end)
                 continue
@@ -164,23 +164,35 @@ def _grown(
     return tuple(grown)
 
 
-def _sharpness(
-    row: DesignRow, requirements: Requirements, variables: Sequence[Input], exact: Evaluator
-) -> Sharpness | None:
-    """Return the worst results of runs with one value 1 % larger or smaller.
+def _sharpnesses(
+    rows: Sequence[DesignRow],
+    requirements: Requirements,
+    variables: Sequence[Input],
+    exact: Evaluator,
+) -> list[Sharpness | None]:
+    """Return for each row the worst results of runs with one value 1 % larger or smaller.
 
-    None if the row was checked with draws, or if there is an area of approach.
+    None if a row was checked with draws, or if there is an area of approach.
     """
-    if row.check is not None or requirements.area:
-        return None
-    values = row.candidate.values
     moved = [
-        {**values, each.name: values[each.name] * factor}
+        (k, {**row.candidate.values, each.name: row.candidate.values[each.name] * factor})
+        for k, row in enumerate(rows)
+        if row.check is None and not requirements.area
         for each in variables
         for factor in (1.0 - SHARP, 1.0 + SHARP)
-        if values[each.name]
+        if row.candidate.values[each.name]
     ]
-    found = exact.alone(moved) if moved else []
+    found = exact.alone([values for _, values in moved]) if moved else []
+    of_rows: list[list[Candidate]] = [[] for _ in rows]
+    for (k, _), candidate in zip(moved, found, strict=True):
+        of_rows[k].append(candidate)
+    return [
+        None if row.check is not None or requirements.area else _worst(row, each, requirements)
+        for row, each in zip(rows, of_rows, strict=True)
+    ]
+
+
+def _worst(row: DesignRow, found: Sequence[Candidate], requirements: Requirements) -> Sharpness:
     held = [x for x in found if x.verdict == CAPTURED]
     held = [x for x in held if requirements.allow_leaving or not x.left_again]
     if not held:

@@ -16,14 +16,21 @@ from functools import partial
 import numpy as np
 
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.candidates import Archive, Candidate, Evaluator, Requirements, costs_of
+from capture_sim.studies.candidates import (
+    Ahead,
+    Archive,
+    Candidate,
+    Evaluator,
+    Requirements,
+    costs_of,
+)
 from capture_sim.studies.coverage import cover, undecided
 from capture_sim.studies.dispersion import Probability, probability
 from capture_sim.studies.front import knee, layers, spread_points
 from capture_sim.studies.inputs import Input
 from capture_sim.studies.limit_costs import ACTIVE
 from capture_sim.studies.outcome import CAPTURED
-from capture_sim.studies.refinement import CandidatePoints, Goal, refine
+from capture_sim.studies.refinement import CandidatePoints, Evaluate, Goal, refine
 from capture_sim.studies.rows import (
     CONVERGED,
     ENDED,
@@ -263,7 +270,7 @@ class DesignSearch:
 
     def _stage(
         self,
-        evaluate: Callable[[Sequence[Mapping[str, float]]], list[Candidate]],
+        evaluate: Evaluate,
         begin: Sequence[Mapping[str, float]],
         *,
         brief: bool = False,
@@ -274,10 +281,12 @@ class DesignSearch:
         ``begin`` are values of buffers to start from.  ``brief`` omits the second seed.
         """
 
-        def within_budget(values: Sequence[Mapping[str, float]]) -> list[Candidate]:
+        def within_budget(
+            values: Sequence[Mapping[str, float]], ahead: Ahead | None = None
+        ) -> list[Candidate]:
             asked = values[: max(self._left, 0)]
             self._left -= len(asked)
-            return evaluate(asked) if asked else []
+            return evaluate(asked, ahead) if asked else []
 
         points = self.points = CandidatePoints(self.variables, self._objectives)
         runs = min(_COVERAGE, int(_COVERAGE_SHARE * self._left))
@@ -322,7 +331,7 @@ class DesignSearch:
             second, per_pass = 0, int(self._left / (n_rows * 2.0 + 1.0))
         return second, max(min(per_pass, _PASS if n_rows > 1 else 2 * _PASS), 4)
 
-    def _spend(self, evaluate: Callable[[Sequence[Mapping[str, float]]], list[Candidate]]) -> None:
+    def _spend(self, evaluate: Evaluate) -> None:
         """Refine rows that no second seed has confirmed until the budget ends, or nothing gains."""
         n_rows, idle, number = len(self._goals), 0, _PASSES
         while self._words[0] == ENDED and self._left >= 4 * n_rows:
@@ -336,7 +345,7 @@ class DesignSearch:
 
     def _passes(
         self,
-        evaluate: Callable[[Sequence[Mapping[str, float]]], list[Candidate]],
+        evaluate: Evaluate,
         per_pass: int,
         of_second: int,
     ) -> np.ndarray | None:
@@ -359,7 +368,7 @@ class DesignSearch:
 
     def _compare(
         self,
-        evaluate: Callable[[Sequence[Mapping[str, float]]], list[Candidate]],
+        evaluate: Evaluate,
         per_pass: int,
         of_second: int,
         gains: np.ndarray,

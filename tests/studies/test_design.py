@@ -150,6 +150,18 @@ def check_budget(keys, budget):
         assert len(found.history) >= 0.95 * 0.88 * budget
 
 
+def test_what_free_workers_run_ahead_changes_no_result(servicer, design):
+    one, many = Counting(1), Counting(40)
+    for executor in (one, many):
+        found = design_buffer(
+            servicer, Requirements(TRADED, LIMITS), candidates=400, executor=executor
+        )
+        assert [x.values for x in found.history] == [x.values for x in design.history]
+        assert [*map(repr, found.front)] == [*map(repr, design.front)]
+    assert many.runs > 1.2 * one.runs
+    assert many.batches < 0.7 * one.batches
+
+
 def test_a_seed_gives_one_front_wherever_it_is_computed(servicer):
     requirements = Requirements(TRADED, make_limits({"max_axial_stroke_in": 0.015}))
     here = design_buffer(servicer, requirements, DAMPER, candidates=100)
@@ -159,6 +171,19 @@ def test_a_seed_gives_one_front_wherever_it_is_computed(servicer):
     # as text: since Python 3.13, a dataclass with a NaN equals no other
     assert [*map(repr, here.front)] == [*map(repr, there.front)]
     assert len(here.history) <= 100
+
+
+class Counting(InProcess):
+    """Runs in this process, but gets as many runs as if it had some workers."""
+
+    def __init__(self, workers):
+        self.workers, self.runs, self.batches = workers, 0, 0
+
+    def map(self, fn, tasks):
+        """Count the runs and the batches."""
+        self.runs += sum(map(len, tasks))
+        self.batches += bool(tasks)
+        return super().map(fn, tasks)
 
 
 def candidates_with(forces, strokes):
@@ -305,10 +330,10 @@ def test_ctrl_c_keeps_what_was_found(servicer, tmp_path, capsys, monkeypatch):
     count = itertools.count()
     real = Evaluator.alone
 
-    def interrupted(self, values):
+    def interrupted(self, values, ahead=None):
         if next(count) == 3:
             raise KeyboardInterrupt
-        return real(self, values)
+        return real(self, values, ahead)
 
     monkeypatch.setattr(Evaluator, "alone", interrupted)
     arguments = ["--minimize=max_axial_stroke_in,max_buffer_force", "--stroke-limit=15"]

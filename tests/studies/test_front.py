@@ -62,7 +62,7 @@ def evaluations(force):
     count = [0]
 
     def of(requirements):
-        def evaluate(values):
+        def evaluate(values, _=None):
             count[0] += len(values)
             found = []
             for each in values:

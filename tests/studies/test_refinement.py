@@ -8,7 +8,7 @@ import pytest
 from capture_sim.studies.candidates import Candidate
 from capture_sim.studies.inputs import Input
 from capture_sim.studies.limits import make_objectives
-from capture_sim.studies.refinement import CandidatePoints, Goal, nelder_mead, refine
+from capture_sim.studies.refinement import CandidatePoints, Goal, NelderMead, refine
 
 FORCE = make_objectives(["max_buffer_force"])
 TRADED = make_objectives(["max_axial_stroke_in", "max_buffer_force"])
@@ -16,15 +16,12 @@ TRADED = make_objectives(["max_axial_stroke_in", "max_buffer_force"])
 
 def minimum(function, start, runs, size=0.1, rng=None):
     """Return the best value and the number of calls."""
-    search, values = nelder_mead(np.array(start), size, runs, rng), []
-    try:
-        x = next(search)
-        while True:
-            assert ((x >= 0.0) & (x <= 1.0)).all()
-            values.append(function(x))
-            x = search.send(values[-1])
-    except StopIteration:
-        return min(values), len(values)
+    search, values = NelderMead(np.array(start), size, runs, rng), []
+    while len(asked := search.ask()):
+        assert ((asked >= 0.0) & (asked <= 1.0)).all()
+        values += [function(x) for x in asked]
+        search.tell(np.array(values[-len(asked) :]))
+    return min(values), len(values)
 
 
 @pytest.mark.parametrize("rng", [None, 3])
@@ -38,10 +35,25 @@ def test_a_kinked_minimum_is_found_inside_and_at_the_bounds(at, rng):
     assert runs == 250
 
 
+def test_what_a_search_asks_next_is_among_what_it_looked_ahead_to():
+    def bent(x):
+        return float(np.abs(x - 0.3).max() + np.abs(x - 0.3).sum())
+
+    search, seen, among = NelderMead(np.array([0.8, 0.9, 0.1]), 0.2, 200), 0, 0
+    while len(asked := search.ask()):
+        later = [one.ask() for _, one in search.ahead()]
+        search.tell(np.array([bent(x) for x in asked]))
+        if later and len(search.ask()):
+            seen += 1
+            among += any(np.array_equal(one, search.ask()) for one in later)
+    assert seen > 100
+    assert among > 0.9 * seen  # all but shrinking and new simplices
+
+
 def candidates_of(force):
     """Return the evaluation of force(values), with the stroke x, m."""
 
-    def evaluate(values):
+    def evaluate(values, _=None):
         return [
             Candidate(
                 dict(each),
@@ -100,7 +112,7 @@ def test_a_budget_that_ends_is_said_and_kept():
     points.add(evaluate([{"x": 5.0}]))
     left = [30]
 
-    def limited(values):
+    def limited(values, _=None):
         found = evaluate(values[: left[0]])
         left[0] -= len(found)
         return found

@@ -30,7 +30,7 @@ from capture_sim.studies.calibration.trial import (
     simulate,
     view,
 )
-from capture_sim.studies.executors import InProcess, answers
+from capture_sim.studies.executors import InProcess, answers, workers_of
 from capture_sim.studies.inputs import Input
 
 #: Longest step of a difference, in coordinates, and step while no covariance is known.
@@ -207,8 +207,7 @@ class Problem:
         found: list[np.ndarray | None] = []
         tasks = [self._task(*each) for each in asked]
         # a trial is sent once with all of its tasks in a group
-        workers = getattr(self.executor, "_max_workers", len(tasks))
-        size = max(len(tasks) // max(4 * workers, 1), 1)
+        size = max(len(tasks) // (4 * workers_of(self.executor)), 1)
         groups = [tasks[k : k + size] for k in range(0, len(tasks), size)]
         for group in answers(self.executor, _residuals_of, groups):
             for each in group:
