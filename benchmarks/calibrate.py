@@ -41,11 +41,11 @@ from capture_sim.run.series import Series, series_in
 from capture_sim.scene.launch_plan import plan_launch
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import expanded, get, with_values
-from capture_sim.studies.calibration.calibrate import calibrate
-from capture_sim.studies.calibration.held import uncertainties
-from capture_sim.studies.calibration.parameters import SENSOR_ERRORS
-from capture_sim.studies.calibration.result import Calibration
-from capture_sim.studies.calibration.trial import launched
+from capture_sim.studies.fit.calibrate import calibrate
+from capture_sim.studies.fit.held import uncertainties
+from capture_sim.studies.fit.parameters import SENSOR_ERRORS
+from capture_sim.studies.fit.result import Calibration
+from capture_sim.studies.fit.trial import launched
 
 TRIALS = ("tilt_0", "tilt_p10", "tilt_m10")
 PATHS = {
@@ -322,7 +322,7 @@ def _next(rng: np.random.Generator) -> Scene:
 
 def _figures(scene: Scene, true: dict[str, float], more: dict[str, float]) -> list[float]:
     from capture_sim.run.loads import loads_of
-    from capture_sim.studies.calibration.prediction import FIGURES
+    from capture_sim.studies.fit.prediction import FIGURES
 
     fields = {path: value for key, value in true.items() for path in PATHS[key]}
     bench = Bench(with_values(scene, {**fields, **more}))

@@ -68,9 +68,9 @@ def calls(name: str, folder: Path) -> dict[str, Call]:
     from capture_sim import load_scene, read_run, simulate, sweep
     from capture_sim.recording.offline import write_run
     from capture_sim.scene.loading import change_scene
-    from capture_sim.studies.candidates import Evaluator, Requirements
-    from capture_sim.studies.executors import InProcess
-    from capture_sim.studies.limits import Measure
+    from capture_sim.studies.evaluate.executors import InProcess
+    from capture_sim.studies.evaluate.limits import Measure
+    from capture_sim.studies.search.evaluator import Evaluator, Requirements
     from tests.one_trial import identify
 
     scene = load_scene(name)

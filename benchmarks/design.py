@@ -33,28 +33,28 @@ from capture_sim.run.first_contact import first_cluster
 from capture_sim.scene.approach import Approach, placed
 from capture_sim.scene.launch_plan import travel_to_touch
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.candidates import Candidate, Requirements
-from capture_sim.studies.design import costs_of_limits, design_buffer
-from capture_sim.studies.executors import InProcess, answers, open_executor
-from capture_sim.studies.front import layers
-from capture_sim.studies.limit_costs import STEPS
-from capture_sim.studies.limits import (
+from capture_sim.studies.evaluate.executors import InProcess, answers, open_executor
+from capture_sim.studies.evaluate.limits import (
     LOAD_KEYS,
     Limit,
     Measure,
     make_limits,
     make_objectives,
 )
-from capture_sim.studies.outcome import run_first_contact, run_to_end
-from capture_sim.studies.paper_flow import (
+from capture_sim.studies.evaluate.outcome import run_first_contact, run_to_end
+from capture_sim.studies.evaluate.sweep import RTOL, Recipe, result_columns, run_rows
+from capture_sim.studies.search.design import costs_of_limits, design_buffer
+from capture_sim.studies.search.evaluator import Candidate, Requirements
+from capture_sim.studies.search.front import layers
+from capture_sim.studies.search.limit_costs import STEPS
+from capture_sim.studies.search.paper_flow import (
     FirstContactTarget,
     design_first_contact,
     with_buffer,
 )
-from capture_sim.studies.rows import DesignRow
-from capture_sim.studies.search import Window
-from capture_sim.studies.sweep import RTOL, Recipe, result_columns, run_rows
-from capture_sim.studies.variables import FREE, make_variables, with_values
+from capture_sim.studies.search.rows import DesignRow
+from capture_sim.studies.search.search import Window
+from capture_sim.studies.search.variables import FREE, make_variables, with_values
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.studies import draw_first_contact_design
 

@@ -20,11 +20,11 @@ import numpy as np
 from benchmarks.calibrate import TRIALS, measured, random_bench, random_held
 from benchmarks.pages import table, write_parts
 from capture_sim import load_scene
-from capture_sim.studies.calibration.calibrate import calibrate
-from capture_sim.studies.candidates import Requirements
-from capture_sim.studies.design import design_buffer
-from capture_sim.studies.executors import InProcess
-from capture_sim.studies.limits import make_limits, make_objectives
+from capture_sim.studies.evaluate.executors import InProcess
+from capture_sim.studies.evaluate.limits import make_limits, make_objectives
+from capture_sim.studies.fit.calibrate import calibrate
+from capture_sim.studies.search.design import design_buffer
+from capture_sim.studies.search.evaluator import Requirements
 
 #: Numbers of workers.
 WORKERS = (2, 16, 200)

@@ -42,7 +42,7 @@ def sampled_for(t_end: float, folder: Path) -> Callable[[], object]:
 def swept_rows(rows: float, folder: Path) -> Callable[[], object]:
     """Return a sweep of some short runs, in one process."""
     from capture_sim import sweep
-    from capture_sim.studies.executors import InProcess
+    from capture_sim.studies.evaluate.executors import InProcess
 
     given = {"scene": "paper_designed", "vary": {"buffer.k_A": "normal(500, 5%)"}}
     short = {"run.t_end": 0.02}

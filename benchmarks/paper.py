@@ -29,9 +29,9 @@ from capture_sim.scene.laws import CONTACT_LAWS
 from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.paths import changed
-from capture_sim.studies.executors import answers
-from capture_sim.studies.outcome import Outcome, run_first_contact, run_to_verdict
-from capture_sim.studies.paper_flow import FirstContactTarget, design_first_contact
+from capture_sim.studies.evaluate.executors import answers
+from capture_sim.studies.evaluate.outcome import Outcome, run_first_contact, run_to_verdict
+from capture_sim.studies.search.paper_flow import FirstContactTarget, design_first_contact
 
 #: The cases with a verdict in the paper: whether it says captured.
 CASES = {

@@ -20,7 +20,7 @@ from benchmarks.paper import CASES, OPEN, Agreement, Claim, Evidence, claims
 from benchmarks.paper_figures import FIGURES
 from capture_sim.base.files import whole_file
 from capture_sim.dynamics.compilation import compile_kernels
-from capture_sim.studies.executors import open_executor
+from capture_sim.studies.evaluate.executors import open_executor
 from capture_sim.viewing.canvas import save
 
 #: Name of the page and of the folder of its figures.

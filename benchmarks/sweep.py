@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.kernel_time import KernelTime
 from benchmarks.pages import table, write_parts
 from capture_sim import load_scene, sweep
-from capture_sim.studies.executors import open_executor
+from capture_sim.studies.evaluate.executors import open_executor
 
 SWEEPS = {
     "tilt_0, dispersions": (
@@ -58,7 +58,7 @@ _OF_ALL = {
 _TIME_A_RUN = """
 import sys, time
 from capture_sim import sweep
-from capture_sim.studies.executors import InProcess
+from capture_sim.studies.evaluate.executors import InProcess
 vary, runs = eval(sys.argv[1]), int(sys.argv[2])
 sweep("tilt_0", vary, runs=20, executor=InProcess())
 start = time.process_time()

@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from capture_sim.scene.files import scene_names as scene_names
     from capture_sim.scene.loading import load_scene as load_scene
     from capture_sim.scene.parts import Scene as Scene
-    from capture_sim.studies.calibration.calibrate import calibrate as calibrate
-    from capture_sim.studies.sweep import sweep as sweep
+    from capture_sim.studies.evaluate.sweep import sweep as sweep
+    from capture_sim.studies.fit.calibrate import calibrate as calibrate
     from capture_sim.viewing.plots import plot as plot
 
 # lets capture_sim.msg, generated into an install prefix, be found from a source checkout
@@ -69,8 +69,8 @@ _MODULES = {
     "scene.files": ("scene_names",),
     "scene.parts": ("Scene",),
     "run.simulation": ("RunError", "simulate"),
-    "studies.calibration.calibrate": ("calibrate",),
-    "studies.sweep": ("sweep",),
+    "studies.fit.calibrate": ("calibrate",),
+    "studies.evaluate.sweep": ("sweep",),
     "viewing.plots": ("plot",),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}

@@ -14,12 +14,12 @@ import numpy as np
 from capture_sim.run.run import Run, checked
 from capture_sim.run.touches import Touches
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.calibration.checks import Finding
-from capture_sim.studies.calibration.descent import RESTARTS
-from capture_sim.studies.calibration.fitting import fit_trials
-from capture_sim.studies.calibration.parameters import parameters_of
-from capture_sim.studies.calibration.result import STARTS, Calibration
-from capture_sim.studies.calibration.trial import launched, resolved, trial_of
+from capture_sim.studies.fit.checks import Finding
+from capture_sim.studies.fit.descent import RESTARTS
+from capture_sim.studies.fit.fitting import fit_trials
+from capture_sim.studies.fit.parameters import parameters_of
+from capture_sim.studies.fit.result import STARTS, Calibration
+from capture_sim.studies.fit.trial import launched, resolved, trial_of
 
 #: Name of a parameter that is not in a scene: the actual time of the release, s after the assumed
 #: time of the release.

@@ -81,7 +81,7 @@ for command in COMMANDS:
 """
 CLUSTER = """
 import math
-from capture_sim.studies.executors import ExecutorError, answers, open_executor
+from capture_sim.studies.evaluate.executors import ExecutorError, answers, open_executor
 address = "tcp://127.0.0.1:9"
 try:
     from distributed import LocalCluster

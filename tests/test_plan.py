@@ -44,7 +44,7 @@ def test_a_room_says_what_it_is_for(folder):
         return
     for label in ("Takes: ", "Gives: ", "Must not know: "):
         assert f"\n{label}" in text, label
-    [begin] = re.findall(r"\nBegin with: ``(\w+\.py)``", text)
+    [begin] = re.findall(r"\nBegin with: ``([\w/]+\.py)``", text)
     assert (folder / begin).is_file()
 
 

@@ -25,7 +25,7 @@ from benchmarks.paper_figures import FIGURES
 from benchmarks.reproduction import page, terminal_table
 from capture_sim import load_scene, simulate
 from capture_sim.scene.approach import Approach, placed
-from capture_sim.studies.executors import InProcess
+from capture_sim.studies.evaluate.executors import InProcess
 
 RADIUS = Assumption("radius", "detector.capture_radius", "mm", 1e3, (3e-3, 5e-3, 8e-3), "", 5e-3)
 

@@ -33,7 +33,7 @@ _SHARES |= {"detection": 0.26, "launcher": 0.74}
 def layers() -> list[list[str]]:
     """Return the rooms of each layer, the highest first, as the contract of imports has them."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
-    [rooms] = [c["layers"] for c in settings["contracts"] if c["type"] == "layers"]
+    rooms = next(c["layers"] for c in settings["contracts"] if c["type"] == "layers")
     return [[name.strip() for name in layer.split("|")] for layer in rooms]
 
 

@@ -58,7 +58,7 @@ def use_indices() -> None:
     from SALib.analyze import sobol as analysis
     from SALib.sample import sobol
 
-    from capture_sim.studies.sampling import problem_of
+    from capture_sim.studies.vary.sampling import problem_of
 
     problem = problem_of(2)
     shares = sobol.sample(problem, 256, calc_second_order=False, seed=1)
@@ -70,7 +70,7 @@ def use_front() -> None:
     """Sort points into fronts."""
     import numpy as np
 
-    from capture_sim.studies.front import layers
+    from capture_sim.studies.search.front import layers
 
     assert [front.tolist() for front in layers(np.array([[0.0, 0.0], [1.0, 1.0]]))] == [[0], [1]]
 

@@ -42,21 +42,21 @@ from capture_sim.run.run import Run
 from capture_sim.scene.files import scene_names
 from capture_sim.scene.loading import load_scene
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.calibration.calibrate import TOUCHES, calibrate, predicted
-from capture_sim.studies.calibration.candidates import NAMED
-from capture_sim.studies.calibration.checks import ALARM_BLOCKS, PHASES, neighbours
-from capture_sim.studies.calibration.descent import RESTARTS
-from capture_sim.studies.calibration.files import JSON, SCENE, as_data, scene_text
-from capture_sim.studies.calibration.parameters import DEFAULT, SENSOR_ERRORS, read_weighed
-from capture_sim.studies.calibration.prediction import (
+from capture_sim.studies.evaluate.executors import open_executor
+from capture_sim.studies.fit.calibrate import TOUCHES, calibrate, predicted
+from capture_sim.studies.fit.checks import ALARM_BLOCKS, PHASES, neighbours
+from capture_sim.studies.fit.descent import RESTARTS
+from capture_sim.studies.fit.files import JSON, SCENE, as_data, scene_text
+from capture_sim.studies.fit.parameters import DEFAULT, SENSOR_ERRORS, read_weighed
+from capture_sim.studies.fit.prediction import (
     Prediction,
     read_placement,
     shown_figure,
 )
-from capture_sim.studies.calibration.result import INSEPARABLE, Calibration
-from capture_sim.studies.calibration.trial import launched
-from capture_sim.studies.executors import open_executor
-from capture_sim.studies.inputs import Known
+from capture_sim.studies.fit.result import INSEPARABLE, Calibration
+from capture_sim.studies.fit.score_tests import NAMED
+from capture_sim.studies.fit.trial import launched
+from capture_sim.studies.vary.inputs import Known
 
 DESCRIPTION = (
     "Fit the parameters of a bench to all of its trials, or to one recording. Each trial has its "

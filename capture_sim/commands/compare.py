@@ -28,11 +28,8 @@ from capture_sim.errors import RecordingError
 from capture_sim.run.loads import if_measured
 from capture_sim.run.run import Run
 from capture_sim.run.touches import Touches
-from capture_sim.studies.agreement import Agreement, agreement
-from capture_sim.studies.calibration.files import read_calibrated
-from capture_sim.studies.calibration.new_trial import agreement_of
-from capture_sim.studies.calibration.prediction import read_placement
-from capture_sim.studies.compare import (
+from capture_sim.studies.compare.agreement import Agreement, agreement
+from capture_sim.studies.compare.compare import (
     MIN_SAMPLES,
     Gap,
     Side,
@@ -42,6 +39,9 @@ from capture_sim.studies.compare import (
     pair_touches,
     sides,
 )
+from capture_sim.studies.fit.files import read_calibrated
+from capture_sim.studies.fit.new_trial import agreement_of
+from capture_sim.studies.fit.prediction import read_placement
 
 DESCRIPTION = (
     "Compare two runs, e.g. measured and simulated, aligned at their first contacts: strokes and "

@@ -41,18 +41,18 @@ from capture_sim.errors import SceneError
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import Range
 from capture_sim.scene.units import in_si, split
-from capture_sim.studies.candidates import (
-    CHECK_DRAWS,
-    DRAWS,
-    EARLIER,
-    SEARCH,
-    Archive,
-    Candidate,
-    Dispersions,
-    Requirements,
+from capture_sim.studies.evaluate.capture_range import AREAS, make_area
+from capture_sim.studies.evaluate.executors import open_executor
+from capture_sim.studies.evaluate.limits import (
+    CAPTURE_RANGE,
+    Limit,
+    Measure,
+    make_limits,
+    make_objectives,
+    read_limits,
 )
-from capture_sim.studies.capture_range import AREAS, make_area
-from capture_sim.studies.design import (
+from capture_sim.studies.evaluate.outcome import run_to_end
+from capture_sim.studies.search.design import (
     CANDIDATES,
     CANDIDATES_OF_AREA,
     CANDIDATES_OF_DRAWS,
@@ -62,21 +62,21 @@ from capture_sim.studies.design import (
     default_candidates,
     design_buffer,
 )
-from capture_sim.studies.executors import open_executor
-from capture_sim.studies.front import require_pymoo
-from capture_sim.studies.limit_costs import LimitCost
-from capture_sim.studies.limits import (
-    CAPTURE_RANGE,
-    Limit,
-    Measure,
-    make_limits,
-    make_objectives,
-    read_limits,
+from capture_sim.studies.search.evaluator import (
+    CHECK_DRAWS,
+    DRAWS,
+    EARLIER,
+    SEARCH,
+    Archive,
+    Candidate,
+    Dispersions,
+    Requirements,
 )
-from capture_sim.studies.outcome import run_to_end
-from capture_sim.studies.rows import CONVERGED
-from capture_sim.studies.search import Window
-from capture_sim.studies.variables import FREE, TORSIONAL, make_variables
+from capture_sim.studies.search.front import require_pymoo
+from capture_sim.studies.search.limit_costs import LimitCost
+from capture_sim.studies.search.rows import CONVERGED
+from capture_sim.studies.search.search import Window
+from capture_sim.studies.search.variables import FREE, TORSIONAL, make_variables
 
 DESCRIPTION = (
     "Find the buffers that capture within limits, keep the tip captured until t_end, and that no "

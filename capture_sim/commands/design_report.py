@@ -20,14 +20,14 @@ from capture_sim.commands.output import echo, give, write_json
 from capture_sim.recording.sweep_file import head_of
 from capture_sim.run.loads import LOADS, implausible_stroke
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.candidates import CHECK_DRAWS, Candidate
-from capture_sim.studies.design import Design, beaten_by
-from capture_sim.studies.limit_costs import STEPS, CostChange, LimitCost
-from capture_sim.studies.limits import CAPTURE_RANGE, LOAD_KEYS, Limit, Measure
-from capture_sim.studies.outcome import CAPTURED, Outcome, run_to_end
-from capture_sim.studies.refinement import Goal
-from capture_sim.studies.rows import LONGEST, SHARP, DesignRow
-from capture_sim.studies.variables import DAMPING_RATIO
+from capture_sim.studies.evaluate.limits import CAPTURE_RANGE, LOAD_KEYS, Limit, Measure
+from capture_sim.studies.evaluate.outcome import CAPTURED, Outcome, run_to_end
+from capture_sim.studies.search.design import Design, beaten_by
+from capture_sim.studies.search.evaluator import CHECK_DRAWS, Candidate
+from capture_sim.studies.search.limit_costs import STEPS, CostChange, LimitCost
+from capture_sim.studies.search.refinement import Goal
+from capture_sim.studies.search.rows import LONGEST, SHARP, DesignRow
+from capture_sim.studies.search.variables import DAMPING_RATIO
 
 
 def report_front(sections: Sequence[Section]) -> None:

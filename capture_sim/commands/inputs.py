@@ -367,7 +367,7 @@ def dispersions(
         except ValueError:
             raise SceneError(f"--correlate {item}: must be NAME,NAME=R") from None
     if options.calibrated is not None:
-        from capture_sim.studies.calibration.files import calibrated_dispersions, read_calibrated
+        from capture_sim.studies.fit.files import calibrated_dispersions, read_calibrated
 
         calibrated = read_calibrated(options.calibrated)
         for finding in calibrated.findings:

@@ -16,8 +16,8 @@ from capture_sim.commands.design_report import outcome_of, print_whole_run, writ
 from capture_sim.commands.inputs import add_out, add_scene, in_unit, load, prepare_folder
 from capture_sim.commands.output import drawing, echo
 from capture_sim.errors import SceneError
-from capture_sim.studies.outcome import run_first_contact
-from capture_sim.studies.paper_flow import (
+from capture_sim.studies.evaluate.outcome import run_first_contact
+from capture_sim.studies.search.paper_flow import (
     FirstContactDesign,
     FirstContactTarget,
     FlowRun,

@@ -37,8 +37,8 @@ from capture_sim.errors import SceneError
 from capture_sim.recording.sweep_file import check_format, is_complete, read_cases, write_sweep
 from capture_sim.run.loads import LOADS, implausible_stroke, plausible_stroke
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.capture_range import CaptureRange, area_of_map, ranges_of_sweep
-from capture_sim.studies.dispersion import (
+from capture_sim.studies.evaluate.capture_range import CaptureRange, area_of_map, ranges_of_sweep
+from capture_sim.studies.evaluate.dispersion import (
     MAIN_LOADS,
     QUANTILES,
     Indices,
@@ -59,11 +59,9 @@ from capture_sim.studies.dispersion import (
     success_probability,
     wilks_runs,
 )
-from capture_sim.studies.executors import open_executor
-from capture_sim.studies.inputs import FAMILIAR, typed_unit
-from capture_sim.studies.limits import Limit, read_limits
-from capture_sim.studies.sampling import EDGES, SAMPLES, Samples
-from capture_sim.studies.sweep import (
+from capture_sim.studies.evaluate.executors import open_executor
+from capture_sim.studies.evaluate.limits import Limit, read_limits
+from capture_sim.studies.evaluate.sweep import (
     FAILED,
     RTOL,
     Recipe,
@@ -72,6 +70,8 @@ from capture_sim.studies.sweep import (
     run_samples,
     samples_of,
 )
+from capture_sim.studies.vary.inputs import FAMILIAR, typed_unit
+from capture_sim.studies.vary.sampling import EDGES, SAMPLES, Samples
 
 if TYPE_CHECKING:
     import pandas

@@ -9,15 +9,15 @@ import numpy as np
 from matplotlib.patches import Rectangle
 
 from capture_sim.run.series import PARTS
-from capture_sim.studies.calibration.result import INSEPARABLE
+from capture_sim.studies.fit.result import INSEPARABLE
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import dress, new_figure, subplots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from capture_sim.studies.calibration.prediction import Prediction
-    from capture_sim.studies.calibration.result import Calibration
+    from capture_sim.studies.fit.prediction import Prediction
+    from capture_sim.studies.fit.result import Calibration
 
 #: Residuals beyond this number of standard deviations are drawn at this number.
 _SHOWN = 6.0

@@ -15,11 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from capture_sim.run.simulation import simulate
-from capture_sim.studies.candidates import Candidate, costs_of
-from capture_sim.studies.design import Design
-from capture_sim.studies.dispersion import CAPTURED_LEFT
-from capture_sim.studies.limits import CAPTURE_RANGE, Measure
-from capture_sim.studies.outcome import CAPTURED
+from capture_sim.studies.evaluate.dispersion import CAPTURED_LEFT
+from capture_sim.studies.evaluate.limits import CAPTURE_RANGE, Measure
+from capture_sim.studies.evaluate.outcome import CAPTURED
+from capture_sim.studies.search.design import Design
+from capture_sim.studies.search.evaluator import Candidate, costs_of
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import subplots
 

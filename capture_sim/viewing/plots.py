@@ -62,7 +62,7 @@ def plot(*runs: Any, labels: Sequence[str] | None = None) -> Figure:
     runs
         Runs from :func:`capture_sim.simulate` or :func:`capture_sim.read_run`.  Or one scene, which
         is simulated; one result of :func:`capture_sim.calibrate` or of
-        :func:`capture_sim.studies.design.design_buffer`; or one table from
+        :func:`capture_sim.studies.search.design.design_buffer`; or one table from
         :func:`capture_sim.sweep`.
     labels
         One name for each run; None for the names of the scenes.
@@ -100,8 +100,8 @@ def _of_study(what: Any) -> Figure | None:
     """Return the main figure of a scene or the result of a study; None of anything else."""
     if isinstance(what, Run):
         return None  # before the studies are loaded
-    from capture_sim.studies.calibration.result import Calibration
-    from capture_sim.studies.design import Design
+    from capture_sim.studies.fit.result import Calibration
+    from capture_sim.studies.search.design import Design
     from capture_sim.viewing.calibration import draw_calibration
     from capture_sim.viewing.design import draw_design
     from capture_sim.viewing.sweep import draw_table

@@ -15,13 +15,13 @@ from capture_sim.errors import CaptureSimError
 from capture_sim.run.run import Run
 from capture_sim.run.series import NO_SERIES, Series
 from capture_sim.run.touches import Touches
-from capture_sim.studies.paper_flow import FirstContactDesign
+from capture_sim.studies.search.paper_flow import FirstContactDesign
 from capture_sim.viewing import source, style
 from capture_sim.viewing.canvas import subplots
 from capture_sim.viewing.curves import STROKE, TORSION
 
 if TYPE_CHECKING:
-    from capture_sim.studies.compare import Side
+    from capture_sim.studies.compare.compare import Side
 
 
 def draw_first_contact_design(design: FirstContactDesign) -> Figure:

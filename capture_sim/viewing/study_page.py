@@ -18,7 +18,7 @@ from capture_sim.base.software import own_version
 from capture_sim.base.tables import Section
 from capture_sim.run.simulation import simulate
 from capture_sim.scene.parts import Scene
-from capture_sim.studies.design import Design
+from capture_sim.studies.search.design import Design
 from capture_sim.viewing.canvas import small_png
 from capture_sim.viewing.plots import plot
 

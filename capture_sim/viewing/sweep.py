@@ -23,8 +23,8 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator
 
 from capture_sim.run.loads import LOADS
-from capture_sim.studies.capture_range import CaptureRange
-from capture_sim.studies.dispersion import (
+from capture_sim.studies.evaluate.capture_range import CaptureRange
+from capture_sim.studies.evaluate.dispersion import (
     CAPTURED_LEFT,
     MAIN_LOADS,
     Indices,
@@ -35,10 +35,10 @@ from capture_sim.studies.dispersion import (
     plain_rows,
     rank_correlations,
 )
-from capture_sim.studies.inputs import Input, is_drawn, typed_unit
-from capture_sim.studies.limits import Limit
-from capture_sim.studies.outcome import CAPTURED
-from capture_sim.studies.sweep import FAILED
+from capture_sim.studies.evaluate.limits import Limit
+from capture_sim.studies.evaluate.outcome import CAPTURED
+from capture_sim.studies.evaluate.sweep import FAILED
+from capture_sim.studies.vary.inputs import Input, is_drawn, typed_unit
 from capture_sim.viewing import style
 from capture_sim.viewing.canvas import columns_for, hide_unused, subplots
 

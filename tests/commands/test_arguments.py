@@ -24,7 +24,7 @@ from capture_sim import SceneError, load_scene
 from capture_sim.base.exit_status import BAD_INPUT
 from capture_sim.cli import command_parser, main
 from capture_sim.commands import COMMANDS, GROUPS, OPTIONS
-from capture_sim.studies.inputs import FAMILIAR, read_input
+from capture_sim.studies.vary.inputs import FAMILIAR, read_input
 
 EXAMPLES = int(os.environ.get("CAPTURE_SIM_EXAMPLES", "25"))
 some = settings(

@@ -14,7 +14,7 @@ from capture_sim.cli import main
 from capture_sim.detection.nearest import ClosestApproach, Half
 from capture_sim.recording.read import read_run
 from capture_sim.run.run import detect
-from capture_sim.studies.compare import characteristics, sides
+from capture_sim.studies.compare.compare import characteristics, sides
 
 RNG_SEED = 4
 #: A rebound that comes within 2 mm.

@@ -7,7 +7,7 @@ import pytest
 from noisy_replay import Disturbance, disturbed, judge
 
 from capture_sim import load_scene, simulate
-from capture_sim.studies.outcome import run_to_verdict
+from capture_sim.studies.evaluate.outcome import run_to_verdict
 
 CLEAN = Disturbance(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 LENGTH = 0.206  # m, from the start to the crossing

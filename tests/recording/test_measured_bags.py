@@ -23,7 +23,7 @@ from capture_sim.recording.read import read_run
 from capture_sim.run.first_contact import first_touch, impact_speed
 from capture_sim.run.run import detect
 from capture_sim.run.summary_table import table
-from capture_sim.studies.compare import sides
+from capture_sim.studies.compare.compare import sides
 from capture_sim.viewing import plots
 from capture_sim.viewing.source import (
     decided_at,

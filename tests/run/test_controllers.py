@@ -9,7 +9,7 @@ from capture_sim import SceneError, load_scene, simulate, sweep
 from capture_sim.cli import main
 from capture_sim.dynamics.drive import Control
 from capture_sim.run.controllers import Sensed, control_of, measured_control
-from capture_sim.studies.executors import open_executor
+from capture_sim.studies.evaluate.executors import open_executor
 
 FLYER = {
     "thrusters": {"chaser": {"force": 5.0, "torque": 1.0}},

@@ -20,8 +20,8 @@ from capture_sim.run.loads import (
     loads_of,
     sampled_extremes,
 )
-from capture_sim.studies.executors import InProcess
-from capture_sim.studies.outcome import run_to_end
+from capture_sim.studies.evaluate.executors import InProcess
+from capture_sim.studies.evaluate.outcome import run_to_end
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from capture_sim.recording.offline import write_run
 from capture_sim.run.given import Given
 from capture_sim.run.run import MeasuredRun, detect
 from capture_sim.run.series import Series
-from capture_sim.studies.executors import InProcess
-from capture_sim.studies.sweep import RTOL
+from capture_sim.studies.evaluate.executors import InProcess
+from capture_sim.studies.evaluate.sweep import RTOL
 
 NOISY = ["sensors.motion_capture.rate=100", "sensors.load_cell.rate=1000"]
 

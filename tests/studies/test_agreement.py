@@ -11,7 +11,7 @@ from capture_sim.messages.topics import CAPTURE_STATUS, TOPICS, topic_named
 from capture_sim.recording.bag import read_bag
 from capture_sim.recording.live import LiveRecorder
 from capture_sim.recording.read import read_run
-from capture_sim.studies.agreement import agreement
+from capture_sim.studies.compare.agreement import agreement
 
 
 def test_simulated_again_a_run_is_identical_and_a_difference_is_found(

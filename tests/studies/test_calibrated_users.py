@@ -11,18 +11,18 @@ import pytest
 from measured_trials import measured_trial, short_scene
 
 from capture_sim.errors import SceneError
-from capture_sim.studies.calibration import prediction
-from capture_sim.studies.calibration.files import (
+from capture_sim.studies.fit import prediction
+from capture_sim.studies.fit.files import (
     KIND,
     Calibrated,
     calibrated_dispersions,
     read_calibrated,
 )
-from capture_sim.studies.calibration.new_trial import agreement_of
-from capture_sim.studies.calibration.parameters import parameters_of
-from capture_sim.studies.calibration.prediction import Placement
-from capture_sim.studies.inputs import read_input
-from capture_sim.studies.sampling import make_samples
+from capture_sim.studies.fit.new_trial import agreement_of
+from capture_sim.studies.fit.parameters import parameters_of
+from capture_sim.studies.fit.prediction import Placement
+from capture_sim.studies.vary.inputs import read_input
+from capture_sim.studies.vary.sampling import make_samples
 
 NAMES = ("c_rr", "mu", "buffer.k_A")
 VALUES = np.array([1e-3, 0.27, 560.0])

@@ -19,29 +19,29 @@ from capture_sim.run.series import Series
 from capture_sim.run.touches import located
 from capture_sim.scene.loading import load_scene, load_scene_text
 from capture_sim.scene.paths import changed, expanded, get
-from capture_sim.studies.calibration.calibrate import calibrate, predicted
-from capture_sim.studies.calibration.candidates import FIELDS, NAMED, Score, needed, possible
-from capture_sim.studies.calibration.checks import clustered, convergence, direction_words
-from capture_sim.studies.calibration.descent import EndedSearch, Found, HopelessError, grow
-from capture_sim.studies.calibration.files import as_data, read_calibrated, scene_text
-from capture_sim.studies.calibration.fitting import fit_trials
-from capture_sim.studies.calibration.frame import NO_FRAME, Frame, in_frame_of_scene
-from capture_sim.studies.calibration.held import held_parameters, uncertainties
-from capture_sim.studies.calibration.joint import Linear, Problem, inverse
-from capture_sim.studies.calibration.lacking import lacking_text, names_with
-from capture_sim.studies.calibration.new_trial import agreement_of
-from capture_sim.studies.calibration.parameters import SENSOR_ERRORS, parameters_of, read_weighed
-from capture_sim.studies.calibration.prediction import Placement, read_placement
-from capture_sim.studies.calibration.result import Lacking, result_of
-from capture_sim.studies.calibration.trial import (
+from capture_sim.studies.compare.frame import NO_FRAME, Frame, in_frame_of_scene
+from capture_sim.studies.evaluate.executors import open_executor
+from capture_sim.studies.fit.calibrate import calibrate, predicted
+from capture_sim.studies.fit.checks import clustered, convergence, direction_words
+from capture_sim.studies.fit.descent import EndedSearch, Found, HopelessError, grow
+from capture_sim.studies.fit.files import as_data, read_calibrated, scene_text
+from capture_sim.studies.fit.fitting import fit_trials
+from capture_sim.studies.fit.held import held_parameters, uncertainties
+from capture_sim.studies.fit.joint import Linear, Problem, inverse
+from capture_sim.studies.fit.lacking import lacking_text, names_with
+from capture_sim.studies.fit.new_trial import agreement_of
+from capture_sim.studies.fit.parameters import SENSOR_ERRORS, parameters_of, read_weighed
+from capture_sim.studies.fit.prediction import Placement, read_placement
+from capture_sim.studies.fit.result import Lacking, result_of
+from capture_sim.studies.fit.score_tests import FIELDS, NAMED, Score, needed, possible
+from capture_sim.studies.fit.trial import (
     hold_after_release,
     residuals,
     simulate,
     trial_of,
     view,
 )
-from capture_sim.studies.executors import open_executor
-from capture_sim.studies.inputs import Known
+from capture_sim.studies.vary.inputs import Known
 
 TRUE = {"contact.restitution": 0.6, "friction.mu": 0.27, "buffer.k_A": 560.0}
 NAMES = ("e", "mu", "buffer.k_A")
@@ -691,7 +691,7 @@ def test_a_further_way_that_is_hopeless_leaves_what_was_found(monkeypatch):
         raise HopelessError(problem, problem.linear(place, problem.weighed(), covariance), 0.1)
 
     for room in ("fitting", "lacking"):
-        monkeypatch.setattr(f"capture_sim.studies.calibration.{room}.grow", first_only)
+        monkeypatch.setattr(f"capture_sim.studies.fit.{room}.grow", first_only)
     found = calibrate(trials, ["mu"], restarts=1)
     assert len(calls) > 2
     assert not any("the search has ended" in finding.text for finding in found.findings)
@@ -701,7 +701,7 @@ def test_a_further_way_that_is_hopeless_leaves_what_was_found(monkeypatch):
 def test_a_fit_that_has_had_its_simulations_tries_no_further_way(monkeypatch):
     """Else a bench that lacks several things is searched without an end."""
     trials = two_trials(true={"friction.mu": 0.27, "buffer.friction": 0.3})[:1]
-    monkeypatch.setattr("capture_sim.studies.calibration.fitting.MOST_SIMULATIONS", 50)
+    monkeypatch.setattr("capture_sim.studies.fit.fitting.MOST_SIMULATIONS", 50)
     found = calibrate(trials, ["mu"], restarts=1)
     assert not found.is_usable
     (text,) = [finding.text for finding in found.findings if finding.kind == "budget"]

@@ -6,9 +6,14 @@ import pytest
 from capture_sim import SceneError, load_scene
 from capture_sim.cli import main
 from capture_sim.scene.loading import change_scene
-from capture_sim.studies.capture_range import area_of_map, capture_ranges, make_area, points_of
-from capture_sim.studies.inputs import Input
-from capture_sim.studies.outcome import run_to_end
+from capture_sim.studies.evaluate.capture_range import (
+    area_of_map,
+    capture_ranges,
+    make_area,
+    points_of,
+)
+from capture_sim.studies.evaluate.outcome import run_to_end
+from capture_sim.studies.vary.inputs import Input
 
 NAMES = ("approach.offset", "approach.angle", "approach.speed")
 

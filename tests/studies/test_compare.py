@@ -18,14 +18,14 @@ from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
 from capture_sim.run.series import Series
 from capture_sim.run.touches import Touches, located
-from capture_sim.studies.calibration.frame import Frame
-from capture_sim.studies.compare import (
+from capture_sim.studies.compare.compare import (
     SAMPLED_FORCE,
     characteristics,
     gaps,
     pair_touches,
     sides,
 )
+from capture_sim.studies.compare.frame import Frame
 from capture_sim.viewing.studies import draw_touches, impulse_so_far
 
 

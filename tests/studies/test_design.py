@@ -17,20 +17,20 @@ from capture_sim.cli import main
 from capture_sim.scene import paths
 from capture_sim.scene.loading import change_scene
 from capture_sim.studies import candidates
-from capture_sim.studies.candidates import (
+from capture_sim.studies.evaluate.executors import InProcess, open_executor
+from capture_sim.studies.evaluate.limits import make_limits, make_objectives
+from capture_sim.studies.evaluate.outcome import run_to_end
+from capture_sim.studies.search.coverage import undecided
+from capture_sim.studies.search.design import beaten_by, costs_of_limits, design_buffer
+from capture_sim.studies.search.evaluator import (
     Candidate,
     Dispersions,
     Evaluator,
     Requirements,
     costs_of,
 )
-from capture_sim.studies.coverage import undecided
-from capture_sim.studies.design import beaten_by, costs_of_limits, design_buffer
-from capture_sim.studies.executors import InProcess, open_executor
-from capture_sim.studies.limits import make_limits, make_objectives
-from capture_sim.studies.outcome import run_to_end
-from capture_sim.studies.search import Window
-from capture_sim.studies.variables import FREE, make_variables, with_values
+from capture_sim.studies.search.search import Window
+from capture_sim.studies.search.variables import FREE, make_variables, with_values
 
 SERVICER = Path(__file__).parents[2] / "examples" / "servicer.yaml"
 LIMITS = make_limits(
@@ -276,7 +276,7 @@ def test_what_cannot_be_free_is_rejected_in_a_line(servicer, free, message):
 
 def test_a_capture_range_is_required_and_measured(servicer):
     """By hand: of 5 offsets, those between the edges of the capture."""
-    from capture_sim.studies.capture_range import make_area
+    from capture_sim.studies.evaluate.capture_range import make_area
 
     area = make_area(servicer, ["offset=-40 mm:40 mm:5"])
     limits = make_limits({"max_axial_stroke_in": 0.03})

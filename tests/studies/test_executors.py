@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from capture_sim import load_scene, simulate
-from capture_sim.studies.executors import ExecutorError, InProcess, answers, open_executor
-from capture_sim.studies.outcome import run_to_end, run_to_verdict
+from capture_sim.studies.evaluate.executors import ExecutorError, InProcess, answers, open_executor
+from capture_sim.studies.evaluate.outcome import run_to_end, run_to_verdict
 
 
 def test_run_to_verdict_is_the_whole_runs_verdict():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from capture_sim import SceneError
-from capture_sim.studies.candidates import Candidate, Requirements
-from capture_sim.studies.front import knee, layers, spread_points
-from capture_sim.studies.inputs import Input
-from capture_sim.studies.limit_costs import limit_costs
-from capture_sim.studies.limits import make_limits, make_objectives
+from capture_sim.studies.evaluate.limits import make_limits, make_objectives
+from capture_sim.studies.search.evaluator import Candidate, Requirements
+from capture_sim.studies.search.front import knee, layers, spread_points
+from capture_sim.studies.search.limit_costs import limit_costs
+from capture_sim.studies.vary.inputs import Input
 
 
 def test_layers_are_fronts_one_behind_the_other():

@@ -15,7 +15,7 @@ from capture_sim.run.given import Given
 from capture_sim.run.run import MeasuredRun
 from capture_sim.run.series import STATE, Series, series_in
 from capture_sim.run.touches import located
-from capture_sim.studies.calibration.trial import scatter
+from capture_sim.studies.fit.trial import scatter
 from tests.one_trial import identify, is_explained
 
 HERE = "tilt_0"

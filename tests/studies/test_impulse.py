@@ -14,9 +14,9 @@ from capture_sim.dynamics.bench import Bench
 from capture_sim.run.run import Run
 from capture_sim.run.series import Series
 from capture_sim.scene.paths import with_values
-from capture_sim.studies.calibration.calibrate import calibrate
-from capture_sim.studies.calibration.impulse import MeasuredImpulse, impulse_of
-from capture_sim.studies.calibration.trial import simulate, trial_of, view
+from capture_sim.studies.fit.calibrate import calibrate
+from capture_sim.studies.fit.impulse import MeasuredImpulse, impulse_of
+from capture_sim.studies.fit.trial import simulate, trial_of, view
 
 #: Interval of the dense samples, s, and how long the bench rests before the trial.
 DENSE, BEFORE = 2e-5, 0.5
@@ -109,7 +109,7 @@ def test_the_gain_of_a_cell_is_found_and_moves_nothing_else():
 def test_touches_of_a_cell_that_reads_too_much_are_its_gains():
     """The derivative by the gain is that of the residuals, of touches and of an impulse."""
     from capture_sim.run.touches import located
-    from capture_sim.studies.calibration.trial import residuals, sensor_column
+    from capture_sim.studies.fit.trial import residuals, sensor_column
 
     run = trial_with_cell(0.0, 1000.0, 200.0, 1)
     whole = trial_of(run, has_impulse=True)

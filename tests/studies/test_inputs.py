@@ -6,10 +6,10 @@ import pytest
 
 from capture_sim.errors import SceneError
 from capture_sim.scene.loading import load_scene
-from capture_sim.studies.calibration.parameters import parameters_of, read_weighed
-from capture_sim.studies.inputs import LOGARITHM, Input, Scale, read_input
-from capture_sim.studies.sweep import sweep
-from capture_sim.studies.variables import FREE, make_variables, widened
+from capture_sim.studies.evaluate.sweep import sweep
+from capture_sim.studies.fit.parameters import parameters_of, read_weighed
+from capture_sim.studies.search.variables import FREE, make_variables, widened
+from capture_sim.studies.vary.inputs import LOGARITHM, Input, Scale, read_input
 
 SCENE = load_scene("tilt_0")
 

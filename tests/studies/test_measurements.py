@@ -13,7 +13,7 @@ from recorded_bags import BENCH_TOPICS, rewritten
 from capture_sim.cli import main
 from capture_sim.recording.read import read_run
 from capture_sim.run.series import PARTS, series_in
-from capture_sim.studies.calibration.frame import Frame
+from capture_sim.studies.compare.frame import Frame
 
 
 def test_what_is_no_number_or_comes_twice_is_left_out(path, tmp_path, capsys):

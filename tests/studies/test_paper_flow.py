@@ -12,8 +12,8 @@ from capture_sim import load_scene, simulate
 from capture_sim.cli import main
 from capture_sim.run.first_contact import first_cluster
 from capture_sim.scene.approach import Approach, placed
-from capture_sim.studies.outcome import run_first_contact, run_to_verdict
-from capture_sim.studies.paper_flow import (
+from capture_sim.studies.evaluate.outcome import run_first_contact, run_to_verdict
+from capture_sim.studies.search.paper_flow import (
     FirstContactTarget,
     design_first_contact,
     energy_of,

@@ -7,7 +7,7 @@ import pytest
 from measured_trials import measured_trial, short_scene
 
 from capture_sim import SceneError, calibrate
-from capture_sim.studies.calibration.profiles import DISTANCES, Profile, check_profiled
+from capture_sim.studies.fit.profiles import DISTANCES, Profile, check_profiled
 
 TRUE = {"contact.restitution": 0.6, "friction.mu": 0.27, "buffer.k_A": 560.0}
 

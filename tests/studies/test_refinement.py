@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from capture_sim.studies.candidates import Candidate
-from capture_sim.studies.inputs import Input
-from capture_sim.studies.limits import make_objectives
-from capture_sim.studies.refinement import CandidatePoints, Goal, NelderMead, refine
+from capture_sim.studies.evaluate.limits import make_objectives
+from capture_sim.studies.search.evaluator import Candidate
+from capture_sim.studies.search.refinement import CandidatePoints, Goal, NelderMead, refine
+from capture_sim.studies.vary.inputs import Input
 
 FORCE = make_objectives(["max_buffer_force"])
 TRADED = make_objectives(["max_axial_stroke_in", "max_buffer_force"])

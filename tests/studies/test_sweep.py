@@ -31,7 +31,7 @@ from capture_sim.run.loads import LOADS, loads_of
 from capture_sim.scene import paths
 from capture_sim.scene.approach import approach_of, placed
 from capture_sim.studies import sweep as module
-from capture_sim.studies.dispersion import (
+from capture_sim.studies.evaluate.dispersion import (
     capture_probability,
     complete_samples,
     limit_probability,
@@ -42,12 +42,12 @@ from capture_sim.studies.dispersion import (
     success_probability,
     wilks_runs,
 )
-from capture_sim.studies.executors import InProcess, open_executor
-from capture_sim.studies.inputs import read_input
-from capture_sim.studies.limits import exceeded, make_limits
-from capture_sim.studies.outcome import run_to_end
-from capture_sim.studies.sampling import make_samples
-from capture_sim.studies.sweep import Recipe, samples_of
+from capture_sim.studies.evaluate.executors import InProcess, open_executor
+from capture_sim.studies.evaluate.limits import exceeded, make_limits
+from capture_sim.studies.evaluate.outcome import run_to_end
+from capture_sim.studies.evaluate.sweep import Recipe, samples_of
+from capture_sim.studies.vary.inputs import read_input
+from capture_sim.studies.vary.sampling import make_samples
 from capture_sim.viewing.sweep import draw_sweep
 
 HERE = InProcess()

@@ -25,7 +25,7 @@ import capture_sim
 from capture_sim.errors import RecordingError
 from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run
-from capture_sim.studies.inputs import Input
+from capture_sim.studies.vary.inputs import Input
 from capture_sim.viewing import figures, plots
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.shapes import tip_in_cone
