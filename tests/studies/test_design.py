@@ -16,10 +16,10 @@ from capture_sim.base.exit_status import INTERRUPTED
 from capture_sim.cli import main
 from capture_sim.scene import paths
 from capture_sim.scene.loading import change_scene
-from capture_sim.studies import candidates
 from capture_sim.studies.evaluate.executors import InProcess, open_executor
 from capture_sim.studies.evaluate.limits import make_limits, make_objectives
 from capture_sim.studies.evaluate.outcome import run_to_end
+from capture_sim.studies.search import evaluator
 from capture_sim.studies.search.coverage import undecided
 from capture_sim.studies.search.design import beaten_by, costs_of_limits, design_buffer
 from capture_sim.studies.search.evaluator import (
@@ -263,6 +263,7 @@ def test_a_refusal_names_what_was_searched_and_the_nearest(servicer):
         (["probe.length"], "free probe.length: must have a range, probe.length=LOW:HIGH"),
         (["contact.law"], "must be a number of the scene"),
         (["buffer.k_A", "buffer.k_A=1:2"], "must be given once"),
+        (["drag=0.1:0.2", "chaser.drag=0:1"], "free chaser.drag: must be given once"),
         (["buffer.k_A=[]"], "buffer.k_A = '': must be a number in N/m"),
         (["buffer.k_A=[ , ]"], "must be a number in N/m"),
         (["buffer.k_A=[500,-1]"], "buffer.k_A = -1.0 N/m: must be >= 0"),
@@ -302,7 +303,7 @@ def test_a_robust_design_holds_for_draws_that_the_search_never_saw(servicer, mon
 
     A smaller check and search than those of the command, to save time.
     """
-    monkeypatch.setattr(candidates, "CHECK_DRAWS", 60)
+    monkeypatch.setattr(evaluator, "CHECK_DRAWS", 60)
     vary = {"approach.speed": "normal(0.1, 5%)", "approach.offset": "normal(-20 mm, 2 mm)"}
     limits = make_limits({"max_axial_stroke_in": 0.010, "max_normal_force": 260.0})
     requirements = Requirements(FORCE, limits, Dispersions(vary), confidence=0.8, draws=15)

@@ -24,6 +24,13 @@ def test_a_known_value_is_the_same_to_a_fit_and_to_a_sweep():
         read_input(SCENE, "chaser.mass", "22.6 +- 0 kg")
 
 
+def test_a_distribution_without_an_allowed_draw_is_refused_before_anything_runs():
+    for text in ("normal(-500, 1)", "uniform(-2, -1)", "-500 +- 1"):
+        with pytest.raises(SceneError, match=r"must have draws >= 0 N/m, has none"):
+            read_input(SCENE, "buffer.k_A", text)
+    assert read_input(SCENE, "buffer.k_A", "normal(-1, 1)").distribution  # one draw of six
+
+
 def test_values_are_the_same_to_a_design_and_to_a_sweep():
     for text in ("[0.45 N/mm,500,560]", "400:800:5", "500"):
         (free, _) = make_variables(SCENE, [], [f"buffer.k_A={text}", "buffer.c_A=5:50"])

@@ -30,7 +30,7 @@ from capture_sim.recording.sweep_file import read_cases
 from capture_sim.run.loads import LOADS, loads_of
 from capture_sim.scene import paths
 from capture_sim.scene.approach import approach_of, placed
-from capture_sim.studies import sweep as module
+from capture_sim.studies.evaluate import sweep as module
 from capture_sim.studies.evaluate.dispersion import (
     capture_probability,
     complete_samples,

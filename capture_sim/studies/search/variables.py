@@ -84,6 +84,9 @@ def make_variables(scene: Scene, limits: Sequence[Limit], free: Sequence[str]) -
         variables[name] = variable
     if not variables:
         raise SceneError("free: must have one value or more")
+    taken = [path for name in variables for path in paths.expanded(name)]
+    if twice := [path for path in taken if taken.count(path) > 1]:
+        raise SceneError(f"free {twice[0]}: must be given once")
     if all(len(each.values) == 1 for each in variables.values()):
         held = ", ".join(free)
         raise SceneError(f"free {held}: nothing to search: one must have a range or more values")

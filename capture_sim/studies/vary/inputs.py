@@ -22,7 +22,7 @@ from capture_sim.scene import paths
 from capture_sim.scene.approach import APPROACH, Approach
 from capture_sim.scene.files import parse
 from capture_sim.scene.parts import Scene
-from capture_sim.scene.quantities import Checked, Declared, accept, declared, shown
+from capture_sim.scene.quantities import Checked, Declared, Range, accept, declared, shown
 from capture_sim.scene.units import comma_hint, in_si, split
 
 #: Maximum number of values of one input.
@@ -34,6 +34,8 @@ DRAWN, KNOWN = "a distribution", "VALUE +- ERROR"
 FORMS_OF_SWEEP, FORMS_OF_DESIGN = (GRID, LIST, DRAWN, KNOWN), (RANGE, GRID, LIST)
 #: Values within this share of an end of their range are at that end.
 _AT_END = 0.02
+#: A distribution with less than this share of its draws inside the allowed range has none.
+_RARE = 1e-9
 #: Largest logarithm of a value; the exponential function of a larger one may overflow.
 _LARGEST = 300.0
 _CALL = re.compile(r"\w+\s*\(.*\)")
@@ -219,7 +221,7 @@ def read_input(
     what = what or declaration_of(scene, name)
     plain = Input(name, what.unit, paths=paths.expanded(name))
     if hasattr(given, "ppf"):
-        return dataclasses.replace(plain, distribution=_checked(given, name, shown(given)))
+        return dataclasses.replace(plain, distribution=_checked(given, what, name, shown(given)))
     if not isinstance(given, str):
         values = given if isinstance(given, Iterable) else (given,)
         return dataclasses.replace(plain, values=_accepted(what, name, list(values), shown(given)))
@@ -229,7 +231,7 @@ def read_input(
         raise _must_be(plain, forms)
     if form == DRAWN:
         drawn = _distribution(plain, what, _nominal(scene, name))
-        return dataclasses.replace(plain, distribution=_checked(drawn, name, plain.text))
+        return dataclasses.replace(plain, distribution=_checked(drawn, what, name, plain.text))
     if form == KNOWN:
         return _known(plain, what, is_drawn=DRAWN in forms)
     if form == RANGE:
@@ -325,7 +327,7 @@ def _known(given: Input, what: Declared, *, is_drawn: bool) -> Input:
     from scipy import stats
 
     with np.errstate(all="ignore"):
-        drawn = _checked(stats.norm(centre, spread), given.name, given.text)
+        drawn = _checked(stats.norm(centre, spread), what, given.name, given.text)
     return dataclasses.replace(given, known=Known(centre, spread), distribution=drawn)
 
 
@@ -395,8 +397,11 @@ def _size(text: str, unit: str, nominal: float) -> float:
     return in_si(text, unit)
 
 
-def _checked(distribution: Any, name: str, text: str) -> Any:
-    """Return the distribution; SceneError unless its quartiles are finite and ascending."""
+def _checked(distribution: Any, what: Declared, name: str, text: str) -> Any:
+    """Return the distribution.
+
+    SceneError unless its quartiles are finite and ascending, and some of its draws are allowed.
+    """
     with np.errstate(all="ignore"):
         quartiles = distribution.ppf([0.25, 0.5, 0.75])
     if not (np.all(np.isfinite(quartiles)) and np.all(np.diff(quartiles) > 0.0)):
@@ -404,4 +409,11 @@ def _checked(distribution: Any, name: str, text: str) -> Any:
         raise SceneError(
             f"{name} = {_brief(text)}: must have a width > 0, bounds in ascending order{why}"
         )
+    if isinstance(what.allowed, Range):
+        below, above = distribution.cdf(what.allowed.low), distribution.sf(what.allowed.high)
+        if below + above > 1.0 - _RARE:
+            unit = f" {what.unit}" if what.unit not in ("", "1") else ""
+            raise SceneError(
+                f"{name} = {_brief(text)}: must have draws {what.allowed}{unit}, has none"
+            )
     return distribution
