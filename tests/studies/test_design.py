@@ -162,6 +162,23 @@ def test_what_free_workers_run_ahead_changes_no_result(servicer, design):
     assert many.batches < 0.7 * one.batches
 
 
+def test_a_design_from_an_earlier_one_is_the_same_whatever_its_workers(tmp_path, capsys):
+    """Two workers also run what one search may ask for next; that is no buffer of the design."""
+    asked = ["design", str(SERVICER), "--free=buffer.c_A=100:2000", "--stroke-limit=15"]
+    asked += ["--set=run.rtol=1e-6", "--set=run.t_end=1", "--candidates=120"]
+    found = []
+    for workers in (1, 2):
+        first, then = tmp_path / f"first_{workers}", tmp_path / f"then_{workers}"
+        asked_now = [*asked, "--minimize=max_buffer_force", f"--workers={workers}"]
+        assert main([*asked_now, f"--out={first}"]) == 0
+        after = [*asked, "--minimize=max_axial_stroke_in", "--workers=1", f"--from={first}"]
+        assert main([*after, f"--out={then}"]) == 0
+        capsys.readouterr()
+        texts = [(folder / "design.json").read_text() for folder in (first, then)]
+        found.append([(data["rows"], data["history"]) for data in map(json.loads, texts)])
+    assert found[0] == found[1]
+
+
 def test_a_seed_gives_one_front_wherever_it_is_computed(servicer):
     requirements = Requirements(TRADED, make_limits({"max_axial_stroke_in": 0.015}))
     here = design_buffer(servicer, requirements, DAMPER, candidates=100)

@@ -170,6 +170,8 @@ def _number(value: float) -> float:
 
 #: Kinds of runs in an archive: runs at the tolerance of the search, and runs of an earlier design.
 SEARCH, EARLIER = "search", "earlier"
+#: Suffix of the kind of runs that no search has asked for yet: another design does not begin there.
+_AHEAD = ", ahead"
 
 
 class _Runs(NamedTuple):
@@ -284,12 +286,17 @@ class Evaluator:
 
     def known(self, values: Sequence[Mapping[str, float]]) -> list[Candidate] | None:
         """Return candidates that :meth:`alone` would not run; None if it would."""
-        if self._requirements.area:
-            return None
+        results = []
         for row in (fields_of(self._scene, each) for each in values):
-            if self._archive.get(self._kind, tuple(row), tuple(row.values())) is None:
+            names, numbers = tuple(row), tuple(row.values())
+            result = self._archive.get(self._kind, names, numbers)
+            result = result or self._archive.get(self._kind + _AHEAD, names, numbers)
+            if result is None:
                 return None
-        return self._alone(values) if values else None
+            results.append(result)
+        if not results or self._requirements.area:
+            return None
+        return self._candidates(values, self._judged(results))
 
     def _noted(self, candidates: list[Candidate]) -> list[Candidate]:
         self.history += candidates
@@ -304,7 +311,12 @@ class Evaluator:
         hints = ahead(self.known) if ahead is not None else iter(())
         later = (fields_of(self._scene, each) for each in hints)
         runs = self._run([fields_of(self._scene, each) for each in values], later)
-        found = [
+        found = self._candidates(values, runs)
+        return self._with_ranges(found) if self._requirements.area else found
+
+    @staticmethod
+    def _candidates(values: Sequence[Mapping[str, float]], runs: _Runs) -> list[Candidate]:
+        return [
             Candidate(
                 *(each, dict(zip(LOAD_KEYS, loads, strict=True)), verdict, violation),
                 left_again=left_again,
@@ -317,7 +329,6 @@ class Evaluator:
                 strict=True,
             )
         ]
-        return self._with_ranges(found) if self._requirements.area else found
 
     def _run(
         self, rows: Sequence[Mapping[str, float]], ahead: Iterable[Mapping[str, float]] = ()
@@ -326,24 +337,31 @@ class Evaluator:
         names = tuple(rows[0])
         values = [tuple(row.values()) for row in rows]
         known = partial(self._archive.get, self._kind, names)
-        missing = {row: None for row in values if known(row) is None}
+        run_ahead = partial(self._archive.get, self._kind + _AHEAD, names)
+        new = dict.fromkeys(row for row in values if known(row) is None)
+        if came := {row: result for row in new if (result := run_ahead(row)) is not None}:
+            self._archive.add(self._kind, names, list(came), list(came.values()))
+        asked = [row for row in new if row not in came]
         workers = workers_of(self._executor)
-        if 0 < len(missing) < workers:
+        later: dict[tuple[float, ...], None] = {}
+        if 0 < len(asked) < workers:
             for row in (tuple(each.values()) for each in itertools.islice(ahead, 4 * workers)):
-                if known(row) is None:
-                    missing[row] = None
-                if len(missing) == workers:
+                if row not in new and known(row) is None and run_ahead(row) is None:
+                    later[row] = None
+                if len(asked) + len(later) == workers:
                     break
-        asked = list(missing)
         size = max(min(_RUNS_OF_CHUNK, len(asked) // (_CHUNKS * workers)), 1)
-        tasks = [asked[k : k + size] for k in range(0, len(asked), size)]
+        tasks = [asked[k : k + size] for k in range(0, len(asked), size)] + [[row] for row in later]
         work = partial(run_rows, Recipe(self._scene, names), False, (), also=_ALSO)
         for task, done in zip(tasks, answers(self._executor, work, tasks), strict=True):
             results = [tuple(row[k] for k in self._wanted) for row in done]
-            self._archive.add(self._kind, names, task, results)
-        found = [known(row) for row in values]
-        # what happened is kept; what is wanted is asked of it here
-        verdicts, left, behind, nearest, *loads = zip(*(e for e in found if e), strict=True)
+            kind = self._kind + (_AHEAD if task[0] in later else "")
+            self._archive.add(kind, names, task, results)
+        return self._judged([result for row in values if (result := known(row)) is not None])
+
+    def _judged(self, results: Sequence[_Result]) -> _Runs:
+        """Return what happened in some runs, and whether it is what is wanted."""
+        verdicts, left, behind, nearest, *loads = zip(*results, strict=True)
         by_load = np.array(loads, dtype=float).T
         holds = self._requirements.hold_at_be
         # a tip that a latch has missed only lingers at BE

@@ -562,6 +562,8 @@ class DesignSearch:
                 found.append(mine)
         if not found:
             return []
+        # in an order that does not depend on which of several workers was the first
+        found.sort(key=lambda mine: tuple(mine.values()))
         points = CandidatePoints(self.variables, self._objectives)
         points.add(self._coarse.under(search_requirements(self._requirements)).alone(found))
         order = np.argsort(points.violations, kind="stable")
