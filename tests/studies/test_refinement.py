@@ -50,6 +50,21 @@ def test_what_a_search_asks_next_is_among_what_it_looked_ahead_to():
     assert among > 0.9 * seen  # all but shrinking and new simplices
 
 
+def test_looking_ahead_changes_no_search():
+    """Beyond a simplex that has converged neither: the next one is drawn by the search itself."""
+    plain, looks = (
+        NelderMead(np.array([0.8, 0.9]), 0.2, 300, np.random.default_rng(4)) for _ in range(2)
+    )
+    while len(asked := plain.ask()):
+        assert np.array_equal(asked, looks.ask())
+        values = ((asked - 0.3) ** 2).sum(axis=1)
+        looks.ahead()
+        looks.after(values)
+        for search in (plain, looks):
+            search.tell(values)
+    assert not len(looks.ask())
+
+
 def candidates_of(force):
     """Return the evaluation of force(values), with the stroke x, m."""
 
