@@ -9,7 +9,7 @@ from capture_sim.scene.loading import load_scene
 from capture_sim.studies.evaluate.sweep import sweep
 from capture_sim.studies.fit.parameters import parameters_of, read_weighed
 from capture_sim.studies.search.variables import FREE, make_variables, widened
-from capture_sim.studies.vary.inputs import LOGARITHM, Input, Scale, read_input
+from capture_sim.studies.vary.inputs import LOGARITHM, Input, Scale, read_input, typed_unit
 
 SCENE = load_scene("tilt_0")
 
@@ -25,10 +25,37 @@ def test_a_known_value_is_the_same_to_a_fit_and_to_a_sweep():
 
 
 def test_a_distribution_without_an_allowed_draw_is_refused_before_anything_runs():
-    for text in ("normal(-500, 1)", "uniform(-2, -1)", "-500 +- 1"):
+    for text in ("normal(-500, 1)", "uniform(-2, -1)"):
         with pytest.raises(SceneError, match=r"must have draws >= 0 N/m, has none"):
             read_input(SCENE, "buffer.k_A", text)
     assert read_input(SCENE, "buffer.k_A", "normal(-1, 1)").distribution  # one draw of six
+
+
+@pytest.mark.parametrize("text", ["-500 +- 1", "1e999 +- 1", "5 +- 1e999", "5 +- 1 +- 1", "5 +-"])
+def test_what_cannot_be_known_of_a_spring_is_refused_by_all(text):
+    for ask in (
+        lambda: read_input(SCENE, "buffer.k_A", text),
+        lambda: read_weighed(SCENE, f"buffer.k_A={text}"),
+    ):
+        with pytest.raises(SceneError, match=r"buffer.k_A = .*must be .*(>= 0|in N/m)"):
+            ask()
+
+
+@pytest.mark.parametrize("text", ["[450,500", "450,500]", "[450", "[]", "[,]"])
+def test_half_a_list_is_no_list(text):
+    for ask in (
+        lambda: read_input(SCENE, "buffer.k_A", text),
+        lambda: make_variables(SCENE, [], [f"buffer.k_A={text}"]),
+    ):
+        with pytest.raises(SceneError, match=r"buffer.k_A = .*must be .*in N/m"):
+            ask()
+
+
+@pytest.mark.parametrize("text", ["22600 g +/- 20 g", "22.6e3 ± 20 g", "22600 g,22700 g", "[5 g]"])
+def test_an_input_is_shown_in_the_unit_in_which_it_was_given(text):
+    unit, factor = typed_unit(read_input(SCENE, "chaser.mass", text))
+    assert unit == "g"
+    assert factor == pytest.approx(1000.0)
 
 
 def test_values_are_the_same_to_a_design_and_to_a_sweep():

@@ -3,5 +3,5 @@
 Takes: A ``Scene``, limits, objectives and free inputs.
 Gives: The rows of a front, each with how far it has converged, or the reason for none.
 Must not know: How results are drawn, printed or written.
-Begin with: ``design.py``; a method is asked for buffers and told their results.
+Begin with: ``design.py``; ``coverage.py`` and ``refinement.py`` request its buffers.
 """

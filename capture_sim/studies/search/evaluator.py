@@ -296,7 +296,7 @@ class Evaluator:
             results.append(result)
         if not results or self._requirements.area:
             return None
-        return self._candidates(values, self._judged(results))
+        return self._candidates(values, self._evaluated(results))
 
     def _noted(self, candidates: list[Candidate]) -> list[Candidate]:
         self.history += candidates
@@ -357,10 +357,10 @@ class Evaluator:
             results = [tuple(row[k] for k in self._wanted) for row in done]
             kind = self._kind + (_AHEAD if task[0] in later else "")
             self._archive.add(kind, names, task, results)
-        return self._judged([result for row in values if (result := known(row)) is not None])
+        return self._evaluated([result for row in values if (result := known(row)) is not None])
 
-    def _judged(self, results: Sequence[_Result]) -> _Runs:
-        """Return what happened in some runs, and whether it is what is wanted."""
+    def _evaluated(self, results: Sequence[_Result]) -> _Runs:
+        """Return the outcomes of some runs, evaluated by the requirements."""
         verdicts, left, behind, nearest, *loads = zip(*results, strict=True)
         by_load = np.array(loads, dtype=float).T
         holds = self._requirements.hold_at_be

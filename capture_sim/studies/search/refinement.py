@@ -197,7 +197,7 @@ def refine_from(
 
 
 class Search(Protocol):
-    """A search that is asked for points (m, values) and told their values (m,)."""
+    """A search with an ask-and-tell interface: points are (m, inputs), their values (m,)."""
 
     def ask(self) -> np.ndarray:
         """Return the points that it needs now; none if it has ended."""
@@ -289,7 +289,7 @@ class Single:
         self._asked = np.atleast_2d(x)
 
     def ask(self) -> np.ndarray:
-        """Return the points, or none after they were told."""
+        """Return the points, or none after their values were received."""
         return self._asked
 
     def tell(self, values: np.ndarray) -> None:
@@ -321,7 +321,7 @@ def _search(
 
 
 class NelderMead:
-    """The method of Nelder and Mead (1965) in the unit cube, asked for points and told values.
+    """The method of Nelder and Mead (1965) in the unit cube, with an ask-and-tell interface.
 
     Points are clipped to the cube.  A simplex that has converged is restarted around its best
     point, with a smaller size than before.

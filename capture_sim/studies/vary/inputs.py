@@ -2,7 +2,7 @@
 
 One grammar serves all of them.  A text is ``LOW:HIGH:COUNT`` (equally spaced values), ``[A,B,C]``
 (values; a sweep needs no brackets), ``LOW:HIGH`` (a range), a distribution as ``normal(500, 5%)``,
-or ``VALUE +- ERROR`` (known from elsewhere).  A study says which of these forms it takes.
+or ``VALUE +- ERROR`` (known from elsewhere).  Each study accepts some of these forms.
 """
 
 from __future__ import annotations
@@ -178,7 +178,7 @@ def typed_unit(given: Input) -> tuple[str, float]:
 
     It is the SI unit if the input was given without one.
     """
-    for text in re.split(r"[,:()\[\]]|\+-", given.text):
+    for text in re.split(rf"[,:()\[\]]|{_PLUS_MINUS.pattern}", given.text):
         with suppress(ValueError):  # the name of a distribution, or a list
             unit = split(text)[1]
             if unit and unit != "%":
@@ -214,9 +214,9 @@ def read_input(
     """Return an input from its text, its values, or a frozen distribution of scipy.stats.
 
     ``name``: a field (``buffer.c_A``), a short name (``c_rr``), or a value of the approach
-    (``approach.angle``).  ``forms``: those that the study takes.  ``what``: declaration of a value
-    that is no field of the scene.  If ``given`` is invalid, SceneError names the input and the
-    valid values.
+    (``approach.angle``).  ``forms``: those that the study accepts.  ``what``: declaration of a
+    value that is no field of the scene.  If ``given`` is invalid, SceneError names the input and
+    the valid values.
     """
     what = what or declaration_of(scene, name)
     plain = Input(name, what.unit, paths=paths.expanded(name))
@@ -233,7 +233,7 @@ def read_input(
         drawn = _distribution(plain, what, _nominal(scene, name))
         return dataclasses.replace(plain, distribution=_checked(drawn, what, name, plain.text))
     if form == KNOWN:
-        return _known(plain, what, is_drawn=DRAWN in forms)
+        return _known(plain, what, forms)
     if form == RANGE:
         low, high = _ends(plain, plain.text.split(":"), forms)
         for end in (low, high):
@@ -243,8 +243,9 @@ def read_input(
         return plain.between(low, high)
     if form == GRID:
         return dataclasses.replace(plain, values=_grid(plain, what, forms))
-    inner = plain.text[1:-1] if plain.text.startswith("[") else plain.text
-    items = [item.strip() for item in inner.split(",")]
+    if plain.text.startswith("[") != plain.text.endswith("]"):
+        raise _must_be(plain, forms)
+    items = [item.strip() for item in plain.text.removeprefix("[").removesuffix("]").split(",")]
     is_plain = what.kind in (float, str)
     values = items if is_plain else [parse(item, name) for item in items]
     return dataclasses.replace(plain, values=_accepted(what, name, values, plain.text))
@@ -309,8 +310,11 @@ def _grid(given: Input, what: Declared, forms: tuple[str, ...]) -> tuple[Any, ..
     return _accepted(what, given.name, np.linspace(low, high, number).tolist(), given.text)
 
 
-def _known(given: Input, what: Declared, *, is_drawn: bool) -> Input:
-    """Return an input of the form VALUE +- ERROR [UNIT]; the error may be in percent."""
+def _known(given: Input, what: Declared, forms: tuple[str, ...]) -> Input:
+    """Return an input of the form VALUE +- ERROR [UNIT]; the error may be in percent.
+
+    If the study accepts distributions, it is a normal distribution.
+    """
     try:
         value, error = (part.strip() for part in _PLUS_MINUS.split(given.text))
         number, unit = split(error)
@@ -322,13 +326,15 @@ def _known(given: Input, what: Declared, *, is_drawn: bool) -> Input:
             spread = in_si(error, what.unit)
     except ValueError:
         raise _must_be(given, (KNOWN,)) from None
-    if not is_drawn:
-        return dataclasses.replace(given, known=Known(centre, spread))
+    if not math.isfinite(spread):
+        raise _must_be(given, (KNOWN,))
+    found = dataclasses.replace(given, known=Known(accept(centre, what, given.name), spread))
+    if DRAWN not in forms:
+        return found
     from scipy import stats
 
-    with np.errstate(all="ignore"):
-        drawn = _checked(stats.norm(centre, spread), what, given.name, given.text)
-    return dataclasses.replace(given, known=Known(centre, spread), distribution=drawn)
+    drawn = _checked(stats.norm(centre, spread), what, given.name, given.text)
+    return dataclasses.replace(found, distribution=drawn)
 
 
 def _nominal(scene: Scene, name: str) -> float:
