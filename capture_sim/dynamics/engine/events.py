@@ -510,60 +510,65 @@ def keep_earliest(w, x, kind, which):
 
 
 @kernel
-def search_step(w):
-    """Find the first event in the step and write it to ``w.event``."""
-    step, event, slow = w.step, w.event, w.progress.slow
-    start, end = step.start, step.end
-    par, mode = w.system.par, w.system.mode
-    h = step.h
-    event.x = _NO_CROSSING
-    event.kind = NO_EVENT
-    if not mode.latched and acts(par.contact):
+def keep_margin(w, kind, which, x):
+    """Keep an event whose margin is 0 or below at the fraction ``x``, 2 if it is nowhere."""
+    if x <= 1.0:
+        keep_earliest(w, locate_zero(w, kind, which, x), kind, which)
+
+
+@kernel
+def search_walls(w):
+    """Keep the first touch, lift-off, and end of sticking or sliding at the walls."""
+    start, end, mode, h = w.step.start, w.step.end, w.system.mode, w.step.h
+    for i in range(2):
+        kind = EventKind.LIFT_OFF if mode.touch[i].on else EventKind.TOUCH
+        sign = -1.0 if mode.touch[i].on else 1.0
+        g_a, d_a = max(sign * start.gap[i], 0.0), sign * start.gap_rate[i]
+        g_b, d_b = sign * end.gap[i], sign * end.gap_rate[i]
+        if may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_ERROR):
+            keep_earliest(w, first_crossing(w, kind, i), kind, i)
+    if w.system.par.friction_law == FrictionLaw.COULOMB:
         for i in range(2):
-            kind = EventKind.LIFT_OFF if mode.touch[i].on else EventKind.TOUCH
-            sign = -1.0 if mode.touch[i].on else 1.0
-            g_a, d_a = max(sign * start.gap[i], 0.0), sign * start.gap_rate[i]
-            g_b, d_b = sign * end.gap[i], sign * end.gap_rate[i]
-            if may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_ERROR):
-                keep_earliest(w, first_crossing(w, kind, i), kind, i)
-        if par.friction_law == FrictionLaw.COULOMB:
-            for i in range(2):
-                if mode.touch[i].on:
-                    x = slip_changed_by(w, i)
-                    if x <= 1.0:
-                        x = locate_zero(w, EventKind.STICK, i, x)
-                        keep_earliest(w, x, EventKind.STICK, i)
-    if (
-        par.has_latch
-        and not mode.latched
-        and may_cross(
-            start.gap[2], start.gap_rate[2] * h, end.gap[2], end.gap_rate[2] * h, _CUBIC_ERROR
-        )
-    ):
+            if mode.touch[i].on:
+                keep_margin(w, EventKind.STICK, i, slip_changed_by(w, i))
+
+
+@kernel
+def search_latch(w):
+    """Keep the closing of the latch."""
+    start, end, h = w.step.start, w.step.end, w.step.h
+    rate_a, rate_b = start.gap_rate[2] * h, end.gap_rate[2] * h
+    if may_cross(start.gap[2], rate_a, end.gap[2], rate_b, _CUBIC_ERROR):
         x = first_crossing(w, EventKind.LATCHED, NO_WALL)
         keep_earliest(w, x, EventKind.LATCHED, NO_WALL)
-    if par.has_stops:
-        for side in (-1, 1):
-            if mode.stop == -side or (side > 0 and par.stop_extended == math.inf):
-                continue
-            kind = EventKind.STOP_LEFT if mode.stop == side else EventKind.STOP_HIT
-            g_a, d_a = event_value(w.stepper.y, par, kind.value, side)
-            g_b, d_b = event_value(w.stepper.y_new, par, kind.value, side)
-            if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, _CUBIC_ERROR):
-                keep_earliest(w, first_crossing(w, kind, side), kind, side)
+
+
+@kernel
+def search_stops(w):
+    """Keep the first meeting with a stop of the stroke, or its end."""
+    par, mode, h = w.system.par, w.system.mode, w.step.h
+    for side in (-1, 1):
+        if mode.stop == -side or (side > 0 and par.stop_extended == math.inf):
+            continue
+        kind = EventKind.STOP_LEFT if mode.stop == side else EventKind.STOP_HIT
+        g_a, d_a = event_value(w.stepper.y, par, kind.value, side)
+        g_b, d_b = event_value(w.stepper.y_new, par, kind.value, side)
+        if may_cross(max(g_a, 0.0), d_a * h, g_b, d_b * h, _CUBIC_ERROR):
+            keep_earliest(w, first_crossing(w, kind, side), kind, side)
+
+
+@kernel
+def search_slide(w):
+    """Keep the first begin or end of the probe's motion in its slide, seated or by friction."""
+    par, mode, h = w.system.par, w.system.mode, w.step.h
     if mode.held:
         measure_hold(w)
-        x = hold_lost_by(w)
-        if x <= 1.0:
-            kind, place = release_of(mode)
-            x = locate_zero(w, kind, place, x)
-            keep_earliest(w, x, kind, place)
-    elif par.slide_friction > 0.0:
-        x = slip_changed_by(w, SLIDE)
-        if x <= 1.0:
-            x = locate_zero(w, EventKind.STICK, SLIDE, x)
-            keep_earliest(w, x, EventKind.STICK, SLIDE)
-    if par.preload > 0.0 and not mode.held:
+        kind, place = release_of(mode)
+        keep_margin(w, kind, place, hold_lost_by(w))
+        return
+    if par.slide_friction > 0.0:
+        keep_margin(w, EventKind.STICK, SLIDE, slip_changed_by(w, SLIDE))
+    if par.preload > 0.0:
         kind = EventKind.SEATED
         g_a, d_a = event_value(w.stepper.y, par, kind.value, NO_WALL)
         g_b, d_b = event_value(w.stepper.y_new, par, kind.value, NO_WALL)
@@ -572,15 +577,35 @@ def search_step(w):
         has_just_left = g_a <= 0.0 and d_a == 0.0
         if g_b < 0.0 or (not has_just_left and may_cross(g_a, d_a * h, g_b, d_b * h, _CUBIC_ERROR)):
             keep_earliest(w, first_crossing(w, kind, NO_WALL), kind, NO_WALL)
+
+
+@kernel
+def search_supports(w):
+    """Keep the first moment at which a vehicle on balls comes to rest or begins to move."""
+    par, mode, slow = w.system.par, w.system.mode, w.progress.slow
+    for which in range(2):
+        resting = mode.rest_S if which == 0 else mode.rest_T
+        if resting and not is_held_at_rest(w.stepper.y_new, par, w.step.hold, which, 1.0):
+            keep_margin(w, EventKind.MOVING, which, 1.0)
+        if not (resting or slow[which]) and is_slow(w.stepper.y_new, par, which, 1.0):
+            keep_margin(w, EventKind.AT_REST, which, 1.0)
+
+
+@kernel
+def search_step(w):
+    """Find the first event in the step and write it to ``w.event``."""
+    par, mode, event = w.system.par, w.system.mode, w.event
+    event.x = _NO_CROSSING
+    event.kind = NO_EVENT
+    if not mode.latched and acts(par.contact):
+        search_walls(w)
+    if par.has_latch and not mode.latched:
+        search_latch(w)
+    if par.has_stops:
+        search_stops(w)
+    search_slide(w)
     if par.has_supports:
-        for which in range(2):
-            resting = mode.rest_S if which == 0 else mode.rest_T
-            if resting and not is_held_at_rest(w.stepper.y_new, par, step.hold, which, 1.0):
-                x = locate_zero(w, EventKind.MOVING, which, 1.0)
-                keep_earliest(w, x, EventKind.MOVING, which)
-            if not (resting or slow[which]) and is_slow(w.stepper.y_new, par, which, 1.0):
-                x = locate_zero(w, EventKind.AT_REST, which, 1.0)
-                keep_earliest(w, x, EventKind.AT_REST, which)
+        search_supports(w)
 
 
 @kernel
