@@ -12,6 +12,7 @@ from pathlib import Path
 from capture_sim import __version__
 from capture_sim.base.compiled.kernels import code_hash
 from capture_sim.dynamics.engine.loop import advance
+from tools.run_tests import loop_seconds
 
 #: Cores that others may keep busy on average before a measurement is no more to be trusted.
 QUIET = 0.1
@@ -67,6 +68,6 @@ def stamp(others: float, *, timed: bool = True) -> str:
     line = (
         f"*{today}, {os.cpu_count()} cores {processor()}, Python {platform.python_version()}, "
         f"capture_sim {__version__}, kernels {code_hash(advance)}; "
-        f"background load {load:.2f} cores.*"
+        f"10 million additions take {loop_seconds():.2f} s; background load {load:.2f} cores.*"
     )
     return f"**{BUSY}**\n\n{line}" if timed and is_busy(others) else line

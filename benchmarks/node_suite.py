@@ -1,7 +1,7 @@
-"""The node suite as measured: start, pace, loss, same bits, memory, killed nodes.
+"""The node suite as measured: start, pace, loss, same bits, memory.
 
     python -m benchmarks.node_suite                       # all parts, about 20 minutes
-    python -m benchmarks.node_suite paced kills --kills 5
+    python -m benchmarks.node_suite paced resets --resets 50
 
 Starts the real nodes, each in a process of its own, over real DDS on loopback; writes the parts of
 docs/evidence/node_suite.md.  Every wait has a limit: a node that hangs fails its part.
@@ -317,47 +317,6 @@ def measure_resets(options: Namespace, folder: Path) -> list[str]:
     ]
 
 
-def measure_kills(options: Namespace, folder: Path) -> list[str]:
-    rng = random.Random(options.seed)
-    offline = simulate(load_scene("tilt_0")).samples
-    killed, lost, problems = dict.fromkeys(NODES, 0), [], []
-    for i in range(options.kills):
-        victim, delay = rng.choice(NODES), rng.uniform(0.0, 2.5)
-        killed[victim] += 1
-        with processes(Forked) as start, closing(Client()) as client:
-            simulation = Simulation(client)
-            suite = Suite(start, folder / f"kill_{i}", rtf=2.0)
-            suite.nodes["simulator"].wait_for("released")
-            time.sleep(delay)
-            suite.nodes[victim].process.kill()
-            sent = len(simulation.states)
-            if victim == "simulator":
-                suite.nodes["recorder"].wait_for(".mcap: ")  # DDS notices after 6 s
-            else:
-                suite.nodes["simulator"].status()
-            for name, node in suite.nodes.items():
-                if name != victim:
-                    # a launcher that dies after the release is missed by nobody
-                    said = node.end(), "Traceback" in node.text
-                    if said not in ((0, False), (1, False)):
-                        problems.append(f"kill {i} of {victim}: {name} ended with {said}")
-            if victim != "simulator" and "done, " not in suite.nodes["simulator"].text:
-                problems.append(f"kill {i} of {victim}: the run did not go on")
-        run = suite.recorded()
-        kept = 0 if run is None else run.samples.size
-        if kept and run.samples.tobytes() != offline[:kept].tobytes():
-            problems.append(f"kill {i} of {victim}: other bits in the recording")
-        if victim == "recorder":
-            lost.append(max(sent - kept, 0) / 2.0)  # ms of wall time, at 1 kHz and rtf 2
-    count = ", ".join(f"{name} {number}" for name, number in killed.items())
-    return [
-        f"{options.kills} times `kill -9` at a random moment of a run at twice real time "
-        f"({count}). A killed recorder lost at most {max(lost, default=0.0):.0f} ms.",
-        "",
-        *([f"- {problem}" for problem in problems] or ["All conditions were met in every run."]),
-    ]
-
-
 if __name__ == "__main__":
     write_parts(
         "node_suite",
@@ -370,12 +329,10 @@ if __name__ == "__main__":
             "unpaced": measure_unpaced,
             "same_bits": measure_same_bits,
             "resets": measure_resets,
-            "kills": measure_kills,
         },
         seconds=(60.0, "of a paced or unpaced run"),
         times=(3, "that it is repeated"),
         suites=(20, "of two runs without pacing, beside two busy processes"),
         resets=(2000, "runs in one process"),
-        kills=(20, "of a node at a random moment"),
         seed=(1, "of the random moments"),
     )
