@@ -21,6 +21,7 @@ from typing import Any, NoReturn
 import capture_sim
 from capture_sim.base.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK
 from capture_sim.base.outputs import check_replaceable, guarded_outputs
+from capture_sim.base.threads import limit_linear_algebra
 from capture_sim.base.version import __version__
 from capture_sim.commands import COMMANDS, FORMER, GROUPS, OPTIONS
 from capture_sim.errors import explain_import_error, one_line
@@ -37,6 +38,7 @@ _MANY = 10
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status, see :data:`base.exit_status.OF_COMMANDS`."""
     _open_closed_streams()
+    limit_linear_algebra()  # no command has loaded NumPy yet
     gc.set_threshold(_GARBAGE_THRESHOLD)
     try:
         if "_ARGCOMPLETE" in os.environ:  # a shell asks

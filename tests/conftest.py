@@ -11,6 +11,8 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as commands and nodes have it; before NumPy is loaded
+
 import hypothesis
 import pytest
 from cases import all_cases, cases

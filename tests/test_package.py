@@ -2,6 +2,8 @@
 
 import ast
 import doctest
+import inspect
+import os
 import re
 import subprocess
 import sys
@@ -41,6 +43,45 @@ def test_examples_of_docstrings_run(module):
     results = doctest.testmod(import_module(module))
     assert results.attempted > 0
     assert results.failed == 0
+
+
+@pytest.mark.parametrize("begin", ["cli.main(['scenes'])", "nodes.start.start('simulator')"])
+def test_commands_and_nodes_have_one_thread_for_linear_algebra(begin):
+    """Else threads wait for each other on a busy machine.  It must be so when NumPy is loaded."""
+    code = f"""
+import os, sys, capture_sim.cli, capture_sim.nodes.start
+
+class Watch:
+    def find_spec(name, *_):
+        if name == "numpy":
+            print("loaded with", os.environ.get("OPENBLAS_NUM_THREADS"), flush=True)
+
+sys.meta_path.insert(0, Watch)
+sys.argv = ["simulator", "--help"]
+try:
+    capture_sim.{begin}
+finally:
+    import numpy
+"""
+    environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    command = [sys.executable, "-c", code]
+    shown = subprocess.run(command, env=environment, capture_output=True, text=True).stdout
+    assert re.findall("loaded with (.*)", shown) == ["1"]
+
+
+#: Functions and classes of the first lines of a script, by their modules where not at the top.
+TEACH = ("simulate", "load_scene", "read_run", "Scene", "Bench", "sweep", "calibrate", "Run")
+TEACH += ("CaptureState", "EventKind", "Phase", "studies.search.design.design_buffer")
+
+
+@pytest.mark.parametrize("name", TEACH)
+def test_what_a_script_begins_with_has_an_example(name):
+    module, _, name = f"capture_sim.{name}".rpartition(".")
+    text = inspect.getdoc(getattr(import_module(module), name))
+    assert text.count("\n>>> ") >= 2
+    for other in re.findall(r"^(capture_sim[\w.]+) : ", text, re.MULTILINE):  # See Also
+        module, _, name = other.rpartition(".")
+        assert hasattr(import_module(module), name) or import_module(other)
 
 
 def test_manifest_and_project_agree():

@@ -13,6 +13,7 @@ from functools import partial
 from importlib import import_module
 
 from capture_sim.base.exit_status import FAILED, OK, REFUSAL
+from capture_sim.base.threads import limit_linear_algebra
 from capture_sim.errors import explain_import_error
 
 
@@ -26,6 +27,7 @@ def start(name: str) -> int:
     for signum in (signal.SIGINT, signal.SIGTERM):
         signal.signal(signum, lambda signum, frame: os._exit(OK))
     signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
+    limit_linear_algebra()
     gc.disable()  # modules are no garbage, but looking for it would take 8 % of the loading
     try:
         node = import_module(f"capture_sim.nodes.{name}")

@@ -24,6 +24,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from capture_sim.base.interrupts import end_with_parent
+from capture_sim.base.threads import limit_linear_algebra
 from capture_sim.dynamics.compilation import compile_kernels
 from capture_sim.errors import CaptureSimError, import_failure
 
@@ -47,6 +48,7 @@ class _Processes(ProcessPoolExecutor):
     """
 
     def __init__(self, count: int) -> None:
+        limit_linear_algebra()  # the cores are taken by these processes
         # spawn, because a fork would copy the compiler's threads in an undefined state
         super().__init__(count, multiprocessing.get_context("spawn"), _begin_worker)
 
