@@ -97,6 +97,11 @@ class Bench:
         Memory to reuse; None for new memory.  No other bench may use it at the same time, but its
         space for samples may be shared.
 
+    See Also
+    --------
+    capture_sim.simulate : A whole run with detector, loads and summary.
+    capture_sim.drive : The samples of a bench piece by piece.
+
     Examples
     --------
     >>> from capture_sim import Bench, load_scene

@@ -81,6 +81,16 @@ def read_run(
     SceneError
         The recorded scene is invalid in this version, or there is no such scene.
 
+    Warnings
+    --------
+    Measurements are plausible only if ``run.doubts`` is empty, and complete only if
+    ``run.problems`` is.  Reading raises for neither.
+
+    See Also
+    --------
+    capture_sim.simulate : The run of a scene, of the same kind.
+    capture_sim.calibrate : Fit a scene to several recorded runs.
+
     Examples
     --------
     A simulated run is recorded, and read again:

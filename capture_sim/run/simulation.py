@@ -94,6 +94,17 @@ def simulate(
         The integration stopped early; the message names time, phase and cause, and ``result`` has
         the run up to then.  It is a SimulationError.
 
+    Warnings
+    --------
+    After tens of impacts, a motion can depend on rounding.  ``check=True`` shows from which time
+    on: its error grows there to the size of the motion.
+
+    See Also
+    --------
+    capture_sim.read_run : The run of a recording, of the same kind.
+    capture_sim.sweep : Many runs of a scene, a row each.
+    capture_sim.Bench : A run that is advanced step by step.
+
     Examples
     --------
     >>> from capture_sim import simulate

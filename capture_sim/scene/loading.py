@@ -88,6 +88,11 @@ def load_scene(name_or_path: str | Path, overrides: Overrides = ()) -> Scene:
         The scene is not found or a value is invalid; the message names field, value, unit and
         allowed range in one line.
 
+    See Also
+    --------
+    capture_sim.scene_names : Names of the packaged scenes.
+    capture_sim.simulate : Loads and runs a scene in one call.
+
     Examples
     --------
     >>> from capture_sim import load_scene

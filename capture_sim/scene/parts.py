@@ -653,7 +653,20 @@ class Sensors(Checked):
 
 @dataclass(frozen=True)
 class Scene(Checked):
-    """A bench with all its parts, and the settings of its run."""
+    """A bench with all its parts, and the settings of its run.
+
+    It is frozen: :func:`capture_sim.load_scene` with changes makes another one.
+
+    Examples
+    --------
+    >>> from capture_sim import load_scene
+    >>> scene = load_scene("tilt_0", {"buffer.k_A": "0.6 N/mm"})
+    >>> scene.buffer.k_A, scene.latch is None, round(scene.chaser_total_mass, 2)  # N/m, -, kg
+    (600.0, False, 23.15)
+    >>> scene.buffer.k_A = 500.0
+    Traceback (most recent call last):
+    dataclasses.FrozenInstanceError: cannot assign to field 'k_A'
+    """
 
     name: str = field(metadata={"doc": "name of the scene and of its files"})
     title: str = field(metadata={"doc": "one line that describes the scene"})

@@ -172,6 +172,17 @@ def sweep(
     MissingPackageError
         pandas, or SALib for ``"saltelli"``, is not installed.
 
+    Warnings
+    --------
+    A run that could not be computed is a row with the verdict ``"failed"`` and a reason in
+    ``failure``.  Its loads, up to then, are no loads of a capture.
+
+    See Also
+    --------
+    capture_sim.simulate : One run, with its samples.
+    capture_sim.studies.search.design.design_buffer : The best buffers instead of a table of all.
+    capture_sim.studies.evaluate.dispersion : Probabilities, quantiles and indices of a table.
+
     Examples
     --------
     >>> import capture_sim

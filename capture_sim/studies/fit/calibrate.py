@@ -120,6 +120,16 @@ def calibrate(
     RecordingError
         A trial has no poses, or fails a plausibility check.
 
+    Warnings
+    --------
+    Values and errors are those of the bench only if ``is_found`` is True.  Otherwise the model
+    lacks something, and the errors are too small.
+
+    See Also
+    --------
+    capture_sim.read_run : Reads a trial.
+    capture_sim.sweep : Runs a scene over values, e.g. those of a fit within their errors.
+
     Examples
     --------
     >>> import capture_sim

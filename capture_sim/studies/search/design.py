@@ -195,6 +195,29 @@ def design_buffer(
         A name or a value is invalid, or the chaser never meets the cone.
     MissingPackageError
         pymoo is not installed.
+
+    Warnings
+    --------
+    Without dispersions in ``requirements``, the buffers are those for the nominal approach alone.
+    Only a row whose ``convergence`` says so has converged.
+
+    See Also
+    --------
+    capture_sim.sweep : A table of given or drawn buffers.
+
+    Examples
+    --------
+    The damper with the least force that stays within a stroke of 5 mm:
+
+    >>> from capture_sim.studies.evaluate.limits import make_limits, make_objectives
+    >>> from capture_sim.studies.search.design import design_buffer
+    >>> from capture_sim.studies.search.evaluator import Requirements
+    >>> limits = make_limits({"max_axial_stroke_in_before_latch": "5 mm"})
+    >>> asked = Requirements(make_objectives(["max_buffer_force_before_latch"]), limits)
+    >>> found = design_buffer("tilt_0", asked, ["buffer.c_A=1:50"], candidates=100)
+    >>> best = found.rows[0].candidate
+    >>> best.verdict, best.loads["max_axial_stroke_in_before_latch"] <= 0.005
+    ('captured', True)
     """
     require_pymoo()
     scene = as_scene(scene)
