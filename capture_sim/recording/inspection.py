@@ -120,6 +120,7 @@ def _row(bag: Bag, run: Run, name: str, left_out: dict[str, str]) -> SeriesRow:
 
 
 def _columns(series: Series) -> np.ndarray:
+    """Return the values of a series as one row for each component, (m, n); m is 1 for scalars."""
     return series.values[None] if series.values.ndim == 1 else series.values.T
 
 

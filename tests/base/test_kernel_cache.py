@@ -1,10 +1,10 @@
 """Compiled kernels on disk: what a second process loads."""
 
 import importlib
-import os
 import subprocess
 import sys
 
+import fresh_python
 import pytest
 
 from capture_sim.base.compiled.kernels import code_hash
@@ -77,9 +77,7 @@ def write(folder, old="", new=""):
 
 
 def python(folder, code):
-    environment = os.environ | {"CAPTURE_SIM_CACHE": str(folder), "PYTHONPATH": str(folder)}
-    command = [sys.executable, "-c", code]
-    return subprocess.run(command, env=environment, capture_output=True, text=True)
+    return fresh_python.python(code, folder, CAPTURE_SIM_CACHE=str(folder))
 
 
 def test_a_kernel_that_was_loaded_runs_and_is_compiled_into_another(tmp_path):
@@ -147,7 +145,7 @@ def test_the_hash_of_the_kernels_is_the_same_in_another_process(tmp_path):
 
 
 @pytest.mark.parametrize("command", ["show tilt_0", "compare --help", "calibrate --help"])
-def test_commands_that_compute_nothing_load_no_numba(command, tmp_path):
+def test_commands_that_compute_nothing_load_no_numba(command):
     code = f"""
 import sys
 
@@ -158,7 +156,8 @@ try:
 finally:
     print("numba" in sys.modules, file=sys.stderr)
 """
-    assert python(tmp_path, code).stderr.splitlines()[-1] == "False"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stderr.splitlines()[-1] == "False"
 
 
 @pytest.mark.parametrize("suffix", [".nbi", ".nbc", ".bc"])

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
-import os
 import signal
-import subprocess
 import sys
 
 import pytest
@@ -13,6 +12,7 @@ import pytest
 import capture_sim
 from capture_sim.base.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK
 from capture_sim.cli import main
+from capture_sim.commands import output
 from capture_sim.recording.offline import write_run
 
 SHORT = {"run.t_end": 3.2}
@@ -28,7 +28,8 @@ def trials(tmp_path_factory):
 
 def test_its_scene_runs_and_its_numbers_are_read_again(trials, tmp_path, capfd):
     out = tmp_path / "bench"
-    words = ["calibrate", *trials, "--fit", "c_rr", "mu", "--profile", "c_rr", "--out", out]
+    words = ["calibrate", *trials, "--fit", "c_rr", "mu", "--profile", "c_rr", "--restarts", 1]
+    words += ["--out", out]
     assert main([str(word) for word in words]) == OK
     printed = capfd.readouterr().out
     assert "found: all tests passed" in printed
@@ -101,22 +102,24 @@ def test_trials_that_are_none_are_one_line(trials, tmp_path, capfd):
         assert not (tmp_path / "bench").exists()
 
 
-def test_ctrl_c_writes_the_state_so_far_and_says_so(trials, tmp_path):
-    out = tmp_path / "bench"
-    begin = "import sys; from capture_sim import cli; from capture_sim.commands import output; "
-    begin += "output._PAUSE = 2.0; sys.exit(cli.main())"
-    command = [sys.executable, "-u", "-c", begin, "calibrate", *map(str, trials), "--out", str(out)]
-    with subprocess.Popen(
-        command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
-    ) as run:
-        for line in run.stderr:
-            if " simulations, " in line:
-                break
-        os.kill(run.pid, signal.SIGINT)
-        output, errors = run.communicate(timeout=300)
-    assert run.returncode == INTERRUPTED, output + errors
-    assert "Traceback" not in errors
-    assert "not found: unfinished" in output + errors
+class Interrupting(io.StringIO):
+    """A terminal at which somebody presses Ctrl-C as soon as the first progress is printed."""
+
+    def write(self, text):
+        count = super().write(text)
+        if " simulations, " in text:
+            signal.raise_signal(signal.SIGINT)
+        return count
+
+
+def test_ctrl_c_writes_the_state_so_far_and_says_so(trials, tmp_path, monkeypatch, capsys):
+    out, errors = tmp_path / "bench", Interrupting()
+    monkeypatch.setattr(output, "_PAUSE", 0.2)
+    monkeypatch.setattr(sys, "stderr", errors)
+    assert main(["calibrate", *map(str, trials), "--out", str(out)]) == INTERRUPTED
+    shown = capsys.readouterr().out + errors.getvalue()
+    assert "Traceback" not in shown
+    assert "not found: unfinished" in shown
     found = json.loads((out / "calibration.json").read_text(encoding="utf-8"))
     assert [finding["kind"] for finding in found["findings"]] == ["unfinished"]
     assert capture_sim.load_scene(out / "calibrated.yaml").name

@@ -11,6 +11,9 @@ from pathlib import Path
 import pytest
 from cases import cases
 
+from capture_sim import simulate
+from capture_sim.recording.offline import write_run
+
 #: Commands by name, each with the time within which it is killed, s.
 COMMANDS = {
     "run": (["run", "tilt_0", "tilt_p10", "--out", "o"], 4.0),
@@ -40,16 +43,16 @@ def processes_of(mark):
     return found
 
 
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    return write_run(simulate("tilt_0"), tmp_path_factory.mktemp("recorded") / "a.mcap")
+
+
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_killed_command_leaves_no_process_and_no_half_file(name, tmp_path):
+def test_a_killed_command_leaves_no_process_and_no_half_file(name, recording, tmp_path):
     arguments, longest = COMMANDS[name]
     program = [sys.executable, "-m", "capture_sim.cli"]
-    subprocess.run(
-        [*program, "run", "tilt_0", "--set", "name=a", "--out", "."],
-        cwd=tmp_path,
-        check=True,
-        capture_output=True,
-    )
+    (tmp_path / "a.mcap").write_bytes(recording.read_bytes())
     source = random.Random(name)
     for k in range(cases(few=1, all=9)):
         mark = f"CAPTURE_SIM_TEST_MARK={name}{os.getpid()}_{k}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dirty
 import pytest
+from cases import cases
 
 import capture_sim
 from capture_sim.errors import RecordingError
@@ -127,30 +128,34 @@ def test_a_rule_that_is_not_applied_is_named_with_its_reason(scene, tmp_path):
     assert "buffer_units" not in reasons  # it does not rest on poses
 
 
-@pytest.mark.parametrize(
-    "stroke, torsion",
-    [(2e-4, 0.0), (5e-4, 0.0), (2e-3, 0.0), (5e-3, 0.0), (-5e-3, 0.0), (0.0, 0.02), (-3e-3, -0.05)],
-)
-def test_the_zero_of_an_encoder_changes_no_result(stroke, torsion, scene, tmp_path):
+def evaluated(scene, folder, stroke, torsion):
+    """Return the run with these zeros of the encoders, and what is compared of it."""
+    records = dirty.changed(dirty.clean("tilt_p10"), dirty.JOINTS, dirty.off_zero(stroke, torsion))
+    run = read_run(dirty.write(folder, "plain", records), scene=scene)
+    peaks = [run.summary[key] for key in ("max_axial_stroke_in", "max_torsion")]
+    statuses = detect(run)
+    since = {s.state: s.t - s.time_in_state for s in statuses}
+    series = [run.series[name]["joint_states"] for name in ("stroke", "torsion")]
+    return run, ((since, statuses[-1].nearest_distance), peaks, *series)
+
+
+@pytest.fixture(scope="module")
+def right_zero(scene, tmp_path_factory):
+    return evaluated(scene, tmp_path_factory.mktemp("clean"), 0.0, 0.0)[1]
+
+
+ZEROS = [(2e-4, 0.0), (-3e-3, -0.05), (5e-3, 0.0)]
+MORE_ZEROS = [(5e-4, 0.0), (2e-3, 0.0), (-5e-3, 0.0), (0.0, 0.02)]
+
+
+@pytest.mark.parametrize("stroke, torsion", cases(few=ZEROS, all=ZEROS + MORE_ZEROS))
+def test_the_zero_of_an_encoder_changes_no_result(stroke, torsion, right_zero, scene, tmp_path):
     """Before: 0.2 mm moved the first contact by 0.25 s, and -5 mm made the capture undecided."""
-    clean = dirty.clean("tilt_p10")
-    found = []
-    for name, offsets in (("clean", (0.0, 0.0)), ("off", (stroke, torsion))):
-        records = dirty.changed(clean, dirty.JOINTS, dirty.off_zero(*offsets))
-        (folder := tmp_path / name).mkdir()
-        run = read_run(dirty.write(folder, "plain", records), scene=scene)
-        series = run.series
-        peaks = [run.summary[key] for key in ("max_axial_stroke_in", "max_torsion")]
-        statuses = detect(run)
-        since = {s.state: s.t - s.time_in_state for s in statuses}
-        states = (since, statuses[-1].nearest_distance)
-        found.append(
-            (states, peaks, series["stroke"]["joint_states"], series["torsion"]["joint_states"])
-        )
+    run, found = evaluated(scene, tmp_path, stroke, torsion)
     [doubt] = run.doubts
     assert doubt.rule.name == "buffer_zero"
     assert doubt.line.endswith("at rest before the contact: taken out")
-    (before, peaks, *series), (after, peaks_off, *zeroed) = found
+    (before, peaks, *series), (after, peaks_off, *zeroed) = right_zero, found
     assert peaks_off == pytest.approx(peaks, abs=1e-5)
     assert after[0] == pytest.approx(before[0], abs=1e-6)
     assert after[1] == pytest.approx(before[1], abs=2e-5)

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import cases
 
 from capture_sim.trial.rest import (
     BUFFER_LIMITS,
@@ -62,7 +63,7 @@ def fastest(motion, times):
 @pytest.mark.parametrize("rate", [10.5, 30.0, 100.0, 500.0])
 @pytest.mark.parametrize("noise", [0.0, 2e-4, 1e-3])
 def test_a_body_at_rest_is_found_so_within_three_seconds(noise, rate):
-    for seed in range(3):
+    for seed in range(cases(few=1, all=3)):
         times, found = instants(still, rate, noise, seed=seed)
         waits = np.diff(np.concatenate([[0.0], times[found], [times[-1]]]))
         assert waits.max() < 3.0
@@ -115,7 +116,7 @@ def test_a_turn_counts_and_a_whole_turn_does_not():
 @pytest.mark.parametrize("rate", [30.0, 90.0, 200.0])
 @pytest.mark.parametrize("speed", [0.1, 0.2, 0.5, 1.5])
 def test_a_body_that_is_pushed_is_at_rest_for_two_more_measurements_at_most(rate, speed):
-    for seed, lag in itertools.product(range(5), (0.0, 0.03)):
+    for seed, lag in itertools.product(range(cases(few=2, all=5)), (0.0, 0.03)):
         pushed = 2.0 + seed / (7.0 * rate)
         times, found = instants(
             lambda t, pushed=pushed: speed * np.maximum(t - pushed, 0.0),

@@ -137,7 +137,11 @@ def begin_touch(w, i):
 
 @kernel
 def change_slip(w, i):
-    """Set the tip on wall ``i`` sticking if friction can hold it, otherwise sliding; log it."""
+    """End sticking or sliding of the tip on wall ``i``, and log what follows.
+
+    A sticking tip slides.  A sliding one sticks if friction can hold it, else it slides the other
+    way.
+    """
     mode, out, par = w.system.mode, w.system.out, w.system.par
     touch = mode.touch[i]
     was_sticking = touch.sticking

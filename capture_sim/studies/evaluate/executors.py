@@ -115,8 +115,9 @@ def _begin_worker() -> None:
 def open_executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
     """Open an executor: processes, or a Dask cluster by the address of its scheduler.
 
-    One worker means this process; None means one process for each core.  Raises ExecutorError if
-    the cluster does not respond or has no workers, or if Dask is not installed.
+    One worker means this process; None means one process for each core.  With a scheduler,
+    ``workers`` is not used: the cluster has its own.  Raises ExecutorError if the cluster does not
+    respond or has no workers, or if Dask is not installed.
     """
     workers = workers or len(os.sched_getaffinity(0))
     if scheduler is not None:

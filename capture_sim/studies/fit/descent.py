@@ -278,7 +278,7 @@ def grow(
         if ended is None:
             break
         is_far = math.isfinite(reached) and after - reached > _MIN_HORIZON_STEP and after > 0.0
-        if spare > 0 and is_far and not (ended.is_found_again or ended.explains_more_than(stage)):
+        if spare > 0 and is_far and not (ended.is_found_again or ended.is_explained_since(stage)):
             spare -= 1
             waiting.insert(0, 0.5 * (after + reached))
             continue
@@ -303,8 +303,11 @@ class _Stage:
     at: Linear | None = None
     is_found_again: bool = False  # True if two starts have ended there
 
-    def explains_more_than(self, shorter: _Stage) -> bool:
-        """Return True if noise explains the increase of chi2 since a shorter fit."""
+    def is_explained_since(self, shorter: _Stage) -> bool:
+        """Return True if noise explains what chi2 has grown by since a shorter fit.
+
+        ``shorter``: the fit to fewer of the measurements; without any, everything is explained.
+        """
         added = self.rows - shorter.rows
         if not shorter.rows or added <= 0:
             return True
@@ -357,7 +360,7 @@ def _stage_fit(
             is_same = abs(ended.chi2 - best.chi2) < _SAME * left
             best = min(best, ended, key=lambda each: each.chi2)
             best.is_found_again = is_same
-        if best.is_found_again or best.explains_more_than(stage):
+        if best.is_found_again or best.is_explained_since(stage):
             break
     return best
 
