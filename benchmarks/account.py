@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
 import sys
 import time
 from argparse import Namespace
@@ -22,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.before import ROOT, environment, python
+from benchmarks.before import ROOT, Server
 from benchmarks.pages import EVIDENCE, table, write_parts
 from capture_sim import load_scene
 
@@ -272,16 +271,8 @@ def measure(rounds: int, times: int, folder: Path) -> dict[str, Account]:
         name: changed(copy, folder / str(number))
         for number, (name, copy) in enumerate(COPIES.items())
     }
-    servers = {}
-    for name, place in places.items():
-        servers[name] = subprocess.Popen(
-            [python(ROOT), str(Path(__file__).resolve()), "--serve", str(times)],
-            env=environment(place) | {"PYTHONPATH": f"{place}:{ROOT}"},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-    counted = {name: json.loads(_line(server)) for name, server in servers.items()}
+    servers = {name: Server(__file__, place, times) for name, place in places.items()}
+    counted = {name: server.answer() for name, server in servers.items()}
     for name, copy in COPIES.items():
         if name != "without weights":
             for (steps, _, touches, _), base in zip(counted[name], counted[copy.base], strict=True):
@@ -290,11 +281,9 @@ def measure(rounds: int, times: int, folder: Path) -> dict[str, Account]:
     spent: dict[str, list[Any]] = {name: [] for name in servers}
     for _ in range(rounds):
         for name, server in servers.items():
-            assert server.stdin is not None
-            print(file=server.stdin, flush=True)
-            spent[name].append(json.loads(_line(server)))
+            spent[name].append(server.ask())
     for server in servers.values():
-        server.communicate()
+        server.end()
     best = {name: np.min(values, axis=0) for name, values in spent.items()}  # case, kind
     accounts = {}
     for k, case in enumerate(CASES):
@@ -313,11 +302,6 @@ def measure(rounds: int, times: int, folder: Path) -> dict[str, Account]:
         apart = {"samples": sampled - whole, "set-up and call": call}
         accounts[case] = Account(evaluations, whole, parts, apart)
     return accounts
-
-
-def _line(server: subprocess.Popen[str]) -> str:
-    assert server.stdout is not None
-    return server.stdout.readline()
 
 
 def account(asked: Namespace, _: Path) -> list[str]:

@@ -8,6 +8,7 @@ wherever that is what counts.
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from argparse import Namespace
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from benchmarks.pages import own_domain, ratio, table, write_parts
 
@@ -64,6 +66,37 @@ def spent(
         output.seek(0)
         assert process.returncode == 0, f"{checkout}: {' '.join(arguments)}: {output.read()}"
     return used.ru_utime + used.ru_stime, clock, used.ru_maxrss / 1e6
+
+
+class Server:
+    """A process of a checkout, or of a copy, that runs a benchmark with ``--serve TIMES``.
+
+    It answers each line on its standard input with a line of JSON, and may begin with some.
+    """
+
+    def __init__(self, script: str, checkout: Path, times: int) -> None:
+        self._process = subprocess.Popen(
+            [python(checkout), script, "--serve", str(times)],
+            env=environment(checkout) | {"PYTHONPATH": f"{checkout}:{ROOT}"},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def answer(self) -> Any:
+        """Return the next line."""
+        assert self._process.stdout is not None
+        return json.loads(self._process.stdout.readline())
+
+    def ask(self) -> Any:
+        """Ask for a line; return it."""
+        assert self._process.stdin is not None
+        print(file=self._process.stdin, flush=True)
+        return self.answer()
+
+    def end(self) -> None:
+        """End the process, whose input ends."""
+        self._process.communicate()
 
 
 def python(checkout: Path) -> str:

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.before import ROOT, environment, python
+from benchmarks.before import ROOT, Server
 from benchmarks.pages import table, write_parts
 
 SCENES = ("tilt_0", "tilt_p10", "paper_designed")
@@ -217,15 +217,9 @@ def ledger(asked: Namespace, _: Path) -> list[str]:
     states = [ROOT] if asked.before is None else [asked.before.resolve(), ROOT]
     lines = []
     for state in states:
-        command = [python(state), str(Path(__file__).resolve()), "--serve", str(asked.times)]
-        done = subprocess.run(
-            command,
-            env=environment(state) | {"PYTHONPATH": f"{state}:{ROOT}"},
-            check=True,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        found = [json.loads(line) for line in done.stdout.splitlines()]
+        server = Server(__file__, state, asked.times)
+        found = [server.answer() for _ in SCENES]
+        server.end()
         if state != ROOT:
             lines += [f"At {commit(state)}:", "", ledger_table(found), "", "Now:", ""]
     return [*lines, ledger_table(found)]

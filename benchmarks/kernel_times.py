@@ -16,7 +16,6 @@ from __future__ import annotations
 import gc
 import json
 import statistics
-import subprocess
 import sys
 import time
 from argparse import Namespace
@@ -26,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.before import ROOT, environment, python
+from benchmarks.before import ROOT, Server
 from benchmarks.pages import ratio, table, write_parts
 
 _RTOL = 1e-8  # of the packaged scenes
@@ -108,34 +107,15 @@ def measure_pair(
     Results of a state are a pair of lists with a dictionary per case: as it is, and with rtol
     changed.  CPU times have the axes round, state and case.
     """
-    servers = [
-        subprocess.Popen(
-            [python(state), str(Path(__file__).resolve()), "--serve", str(times)],
-            env=environment(state) | {"PYTHONPATH": f"{state}:{ROOT}"},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        for state in states
-    ]
-
-    def answer(server: subprocess.Popen[str]) -> Any:
-        assert server.stdout is not None
-        return json.loads(server.stdout.readline())
-
-    def ask(server: subprocess.Popen[str]) -> Any:
-        assert server.stdin is not None
-        print(file=server.stdin, flush=True)
-        return answer(server)
-
-    results_of_states = [[answer(server) for _ in range(2)] for server in servers]
+    servers = [Server(__file__, state, times) for state in states]
+    results_of_states = [[server.answer() for _ in range(2)] for server in servers]
     spent = []
     for k in range(rounds):
         in_turn = servers if k % 2 else servers[::-1]
-        answers = [ask(server) for server in in_turn]
+        answers = [server.ask() for server in in_turn]
         spent.append(answers if k % 2 else answers[::-1])
     for server in servers:
-        server.communicate()
+        server.end()
     return results_of_states, np.array(spent)
 
 

@@ -1,16 +1,14 @@
 """Sweeps: how much slower than their kernels, and how far their verdicts can be trusted.
 
-    python -m benchmarks.sweep [speed trust verdicts before] [--runs 10000]
+    python -m benchmarks.sweep [speed trust verdicts] [--runs 10000]
 
-writes the parts of docs/evidence/random_scenes.md, in six minutes.  ``before`` needs
-``--before FOLDER``, the work tree of an earlier state, e.g. of ``git worktree add``.
+writes the parts of docs/evidence/random_scenes.md, in six minutes.  benchmarks/call.py measures a
+row of a sweep, also beside an earlier state.
 """
 
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import time
 from argparse import Namespace
 from pathlib import Path
@@ -54,18 +52,6 @@ _OF_ALL = {
     "contact.restitution": "uniform(0.3, 0.9)",
     "buffer.k_A": "loguniform(50%, 200%)",
 }
-#: CPU time of a run, ms, in this process; of each state with its own default tolerance.
-_TIME_A_RUN = """
-import sys, time
-from capture_sim import sweep
-from capture_sim.studies.evaluate.executors import InProcess
-vary, runs = eval(sys.argv[1]), int(sys.argv[2])
-sweep("tilt_0", vary, runs=20, executor=InProcess())
-start = time.process_time()
-sweep("tilt_0", vary, runs=runs, executor=InProcess())
-print((time.process_time() - start) / runs * 1e3)
-"""
-_ROUNDS = 5
 
 
 def speed(asked: Namespace, _: Path) -> list[str]:
@@ -138,45 +124,11 @@ def verdicts(asked: Namespace, _: Path) -> list[str]:
     return ["Tolerance 1e-6, the default, compared with 1e-10:", "", table(head, rows)]
 
 
-def before(asked: Namespace, _: Path) -> list[str]:
-    """CPU time of a run of a sweep, against an earlier state; rounds in turn."""
-    if asked.before is None:
-        return []
-    here = Path(__file__).resolve().parent.parent
-    # packages that are not installed, but not this state in place of the other
-    given = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
-    given = [path for path in given if Path(path).resolve() != here]
-    rows, runs = [], max(asked.runs // 50, 20)
-    for name, (_scene, vary) in SWEEPS.items():
-        found: dict[Path, list[float]] = {here: [], Path(asked.before): []}
-        for _round in range(_ROUNDS):
-            for state, times in found.items():
-                done = subprocess.run(
-                    [sys.executable, "-c", _TIME_A_RUN, repr(vary), str(runs)],
-                    cwd=state,
-                    env=os.environ | {"PYTHONPATH": os.pathsep.join([str(state), *given])},
-                    capture_output=True,
-                    check=True,
-                    text=True,
-                )
-                times.append(float(done.stdout.split()[-1]))
-        now, earlier = (min(times) for times in found.values())
-        rows.append([name, f"{earlier:.2f}", f"{now:.2f}", f"{earlier / now:.2f}"])
-    head = [f"{runs} runs", "before, ms", "now, ms", "ratio"]
-    return [
-        f"CPU time of a run, the minimum of {_ROUNDS} rounds in turn, each state with its default "
-        "tolerance:",
-        "",
-        table(head, rows),
-    ]
-
-
 if __name__ == "__main__":
     write_parts(
         "random_scenes",
         __doc__,
-        {"speed": speed, "trust": trust, "verdicts": verdicts, "before": before},
+        {"speed": speed, "trust": trust, "verdicts": verdicts},
         untimed=("trust", "verdicts"),
-        before=(None, "work tree of an earlier state"),
         runs=(10_000, "of each sweep"),
     )
