@@ -555,7 +555,7 @@ def _checked(run: Run, path: str, waived: Sequence[str], *, judges: bool) -> Run
     from capture_sim.plausibility.rules import Grade
     from capture_sim.run.doubts import refuse, remaining
 
-    run = run.replaced(waived=tuple(waived))
+    run = run.replaced(waived=(*run.waived, *waived))
     if judges:
         refuse(path, run.doubts)
     for doubt in run.doubts:

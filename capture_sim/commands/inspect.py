@@ -62,7 +62,8 @@ def run(options: argparse.Namespace) -> int:
     for path in options.recordings:
         try:
             bag = read_bag(path, remaps=remaps, release=options.release)
-            read = run_of(bag, scene).replaced(waived=tuple(options.waived))
+            read = run_of(bag, scene)
+            read = read.replaced(waived=(*read.waived, *options.waived))
             data.append(as_data(bag, read))
             rows += [(path, row) for row in series_rows(bag, read)]
             inspected.append((path, read))

@@ -41,7 +41,8 @@ from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
 from capture_sim.nodes.protocol.roll import RunReport
 from capture_sim.recording.live import LiveRecorder, RecordingReport
 from capture_sim.recording.results_table import ResultsTable, row_of
-from capture_sim.recording.trial_check import trial_problems
+from capture_sim.recording.trial_check import checked_trial
+from capture_sim.run.run import Run
 
 #: What is recorded later too: the last messages of the participants.
 AFTER_END = {STREAM_COUNTS, *topics_of(LAUNCHER), *topics_of(CAPTURE_DETECTOR)}
@@ -166,8 +167,9 @@ class RecorderNode(BenchNode, RunPart):
                 problems.append(end.reason)
             problems += report.problems
             if run.info.source == RunSource.TRIAL and report.path.exists():
-                problems += trial_problems(report.path)
-                self._tabulate(report.path)
+                lines, trial = checked_trial(report.path)
+                problems += lines
+                self._tabulate(report.path, trial)
             elif not report.path.exists():
                 problems.append(f"{report.path}: is gone: it was removed while it was written")
             for problem in problems[:1]:
@@ -181,10 +183,10 @@ class RecorderNode(BenchNode, RunPart):
             problems.append(self._failure)
         return RunReport(tuple(problems), str(path or ""))
 
-    def _tabulate(self, path: Path) -> None:
+    def _tabulate(self, path: Path, trial: Run | None) -> None:
         """Add the trial to results.json and results.txt beside its recording."""
         try:
-            row = row_of(path)
+            row = row_of(path, trial)
             if row is not None:
                 log = self.get_logger()
                 # others may be many, and the launcher waits

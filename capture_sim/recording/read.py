@@ -19,6 +19,7 @@ from capture_sim.messages.topics import (
     CAPTURE_STATUS,
     CONTACT_TRACE,
 )
+from capture_sim.plausibility.check import rules_among
 from capture_sim.plausibility.measured import Measured
 from capture_sim.plausibility.motion import MeasuredMotion
 from capture_sim.recording.bag import Bag, read_bag
@@ -111,8 +112,9 @@ def read_run(
 def run_of(bag: Bag, scene: Scene | None = None) -> Run:
     """Return the run in a recording that was read before.
 
-    ``scene`` as in :func:`read_run`.  RecordingError if there are several runs; SceneError if the
-    recorded scene is invalid in this version.
+    ``scene`` as in :func:`read_run`.  Rules that the trial has waived are waived here, too.
+    RecordingError if there are several runs; SceneError if the recorded scene is invalid in this
+    version.
     """
     if len(bag.run_ids) > 1:
         raise RecordingError(f"{bag.path}: contains {len(bag.run_ids)} runs: must be one run")
@@ -120,8 +122,13 @@ def run_of(bag: Bag, scene: Scene | None = None) -> Run:
     if scene is None and bag.has_scene:
         scene, sha256 = bag.scene, bag.metadata.get("scene_sha256", "")
 
-    kind = ExactRun if bag.holds(BENCH_STATE) else MeasuredRun
-    return kind(bag.name, GivenByBag(bag, scene), _origin_of(bag, sha256), wall_time=bag.wall_time)
+    return (ExactRun if bag.holds(BENCH_STATE) else MeasuredRun)(
+        bag.name,
+        GivenByBag(bag, scene),
+        _origin_of(bag, sha256),
+        wall_time=bag.wall_time,
+        waived=() if bag.announced is None else rules_among(bag.announced.waived),
+    )
 
 
 class GivenByBag(Given):

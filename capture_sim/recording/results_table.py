@@ -164,15 +164,16 @@ def _rows_in(numbers: Path) -> list[Row]:
     return [row_from(entry, f"run {i + 1}") for i, entry in enumerate(entries)]
 
 
-def row_of(path: Path) -> Row | None:
-    """Read a recording and return its row; None if capture_sim did not record the file.
+def row_of(path: Path, run: Run | None = None) -> Row | None:
+    """Return the row of a recording; None if capture_sim did not record the file.
 
-    If the recording has no results, the row gives the reason.
+    ``run``: the run in it; None to read it.  If the recording has no results, the row gives the
+    reason.
     """
     if RUN_METADATA not in head_metadata(path):
         return None
     try:
-        summary = read_run(path).summary
+        summary = (read_run(path) if run is None else run).summary
     except CaptureSimError as error:
         reason = one_line(str(error)).removeprefix(f"{path}: ")
         summary = row_without_results(path.stem, f"no results: {reason}")

@@ -16,7 +16,6 @@ import numpy as np
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.measurements import OF_A_BENCH
 from capture_sim.messages.topics import CAPTURE_STATUS, LOAD_CELL
-from capture_sim.plausibility.check import rules_among
 from capture_sim.plausibility.rules import Grade
 from capture_sim.recording.bag import Bag, read_bag
 from capture_sim.recording.clock import stamps_of
@@ -32,8 +31,10 @@ MIN_GAP, GAP_PERIODS = 0.1, 5.0
 VERDICT_TOLERANCE = 0.1
 
 
-def trial_problems(path: Path) -> list[str]:
-    """Return a line for each thing that the file of a finished trial lacks; empty if it is whole.
+def checked_trial(path: Path) -> tuple[list[str], Run | None]:
+    """Return a line for each thing that the file of a finished trial lacks, and the run in it.
+
+    The list is empty if the file is whole; without a run that can be read, it says why.
 
     - the file exists, and can be read to its end;
     - no source has a gap between the release and the verdict, see :data:`MIN_GAP`;
@@ -43,14 +44,15 @@ def trial_problems(path: Path) -> list[str]:
     try:
         bag = read_bag(path)
         run = run_of(bag)
-        waived = () if bag.announced is None else bag.announced.waived
-        run = run.replaced(waived=rules_among(waived))
+    except CaptureSimError as error:
+        return [f"read again: {error}"], None
+    try:
         grave = [d for d in run.doubts if d.grade is Grade.REFUSED or d.leaves_out_topic]
         lines = [*bag.damage, *_gaps(bag), *(doubt.line for doubt in grave)]
         is_refused = any(doubt.grade is Grade.REFUSED for doubt in grave)
-        return lines if is_refused else [*lines, *_other_verdict(run)]
+        return lines if is_refused else [*lines, *_other_verdict(run)], run
     except CaptureSimError as error:
-        return [f"read again: {error}"]
+        return [f"read again: {error}"], run
 
 
 def _gaps(bag: Bag) -> Iterator[str]:

@@ -1,13 +1,16 @@
 """A trial is whole if its file is: without holes, and with the verdict that it was given."""
 
+from dataclasses import replace
+
 import dirty
 import pytest
 
+from capture_sim.cli import main
 from capture_sim.messages.convert import LaunchAction, Messages, RunDescription
 from capture_sim.messages.telemetry import DetectorTelemetry, LauncherTelemetry
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, RUN_INFO, RunSource
 from capture_sim.recording.read import read_run
-from capture_sim.recording.trial_check import trial_problems
+from capture_sim.recording.trial_check import checked_trial
 from capture_sim.run.run import detect
 from capture_sim.scene.launch_plan import plan_launch
 from capture_sim.scene.loading import load_scene
@@ -22,23 +25,31 @@ def record(sent, stamp):
     return dirty.Record(topic.absolute_name, topic.type_name, stamp + dirty.DELAY, sent.data)
 
 
+def announced(*waived):
+    """Return the announcement of a trial that waives some rules, and its run id."""
+    messages = Messages()
+    run = RunDescription.of(SCENE, "a trial", [LAUNCHER, CAPTURE_DETECTOR], source=RunSource.TRIAL)
+    run = replace(run, waived=waived)
+    begin = dirty.RELEASE - 200_000_000
+    info = messages.serialise(messages.run_info(run))
+    return dirty.Record(RUN_INFO.absolute_name, RUN_INFO.type_name, begin, info), run.run_id
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """Return the records of a trial: announcement, release, sensors and the detector's verdict."""
     messages = Messages()
-    run = RunDescription.of(SCENE, "a trial", [LAUNCHER, CAPTURE_DETECTOR], source=RunSource.TRIAL)
-    info = messages.serialise(messages.run_info(run))
-    launcher = LauncherTelemetry(messages, run.run_id)
+    info, run_id = announced()
+    launcher = LauncherTelemetry(messages, run_id)
     launcher.zero_ns = dirty.RELEASE
     release = launcher.command(0.0, LaunchAction.RELEASE, plan_launch(SCENE))
-    begin = dirty.RELEASE - 200_000_000
     records = [
-        dirty.Record(RUN_INFO.absolute_name, RUN_INFO.type_name, begin, info),
+        info,
         record(release, dirty.RELEASE),
         *dirty.clean(),
     ]
     path = dirty.write(tmp_path_factory.mktemp("whole"), "plain", records)
-    detector = DetectorTelemetry(messages, run.run_id)
+    detector = DetectorTelemetry(messages, run_id)
     detector.zero_ns = dirty.RELEASE
     for status in detect(read_run(path)):
         at = dirty.RELEASE + round(status.t * 1e9)
@@ -49,7 +60,7 @@ def whole(tmp_path_factory):
 
 
 def problems(whole, folder, change=list):
-    return trial_problems(dirty.write(folder, "plain", change(whole)))
+    return checked_trial(dirty.write(folder, "plain", change(whole)))[0]
 
 
 def test_a_whole_trial_has_no_problem(whole, tmp_path):
@@ -99,11 +110,25 @@ def test_a_verdict_that_the_file_does_not_give_is_named(whole, tmp_path):
 def test_a_damaged_or_absent_file_is_named(whole, tmp_path):
     path = dirty.write(tmp_path, "plain", whole)
     path.write_bytes(path.read_bytes()[:-5000])
-    assert trial_problems(path)[0].startswith("read up to byte")
+    assert checked_trial(path)[0][0].startswith("read up to byte")
     path.unlink()
-    assert "No such file" in trial_problems(path)[0]
+    assert "No such file" in checked_trial(path)[0][0]
 
 
 def test_an_excluded_topic_is_named(whole, tmp_path):
     [line] = problems(whole, tmp_path, dirty.CHANGES["encoder_inverted"])
     assert "buffer_against_poses" in line
+
+
+def test_a_rule_that_the_trial_waives_is_waived_wherever_its_file_is_read(whole, tmp_path, capsys):
+    """Two names for one frame: `detect` refused the trial, and its row in the table had a doubt."""
+    two_names = dirty.CHANGES["frames_differ"](whole[1:])
+    for waived, is_used in (((), False), (("frames_differ", "machine_clock"), True)):
+        (folder := tmp_path / str(is_used)).mkdir()
+        path = dirty.write(folder, "plain", [announced(*waived)[0], *two_names])
+        lines, run = checked_trial(path)
+        assert any("frames_differ" in line for line in lines) is not is_used
+        for read in (run, read_run(path)):  # the recorder makes the row of the first
+            assert (read.summary["doubts"] == []) is is_used
+        assert (main(["detect", str(path)]) == 0) is is_used
+        capsys.readouterr()
