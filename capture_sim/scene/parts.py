@@ -655,7 +655,7 @@ class Sensors(Checked):
 class Scene(Checked):
     """A bench with all its parts, and the settings of its run.
 
-    It is frozen: :func:`capture_sim.load_scene` with changes makes another one.
+    It is frozen: load_scene() with changes makes another one.
 
     Examples
     --------

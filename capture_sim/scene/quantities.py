@@ -255,11 +255,12 @@ class Checked:
     def __init_subclass__(cls) -> None:
         if "Attributes\n" in (cls.__doc__ or ""):
             return
-        lines = [(cls.__doc__ or "").rstrip(), "", "    Attributes", "    ----------"]
+        text, title, examples = (cls.__doc__ or "").partition("    Examples\n")
+        lines = [text.rstrip(), "", "    Attributes", "    ----------"]
         for name, kind, meaning, part_lines in _described(cls):
             lines += [f"    {name} : {kind}", f"        {meaning}."]
             lines += [f"        - {text}" for text in part_lines]
-        cls.__doc__ = "\n".join([*lines, "    "])
+        cls.__doc__ = "\n".join([*lines, "", title + examples, "    "])
 
     def __post_init__(self) -> None:
         part, values = type(self).__name__, self.__dict__
