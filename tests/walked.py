@@ -14,24 +14,37 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = str(Path(capture_sim.__file__).parent) + os.sep
 
 
-def note_files(path, begin):
-    """Write the package's files to ``path`` as they are entered, from a call of ``begin`` on.
-
-    Each file has one line, at its first call by any thread; ``begin`` is the name of a function.
-    """
-    seen, has_begun, file = set(), False, os.open(path, os.O_CREAT | os.O_WRONLY)
+def tracer(add):
+    """Return a trace function that calls ``add`` with each of the package's files, once."""
+    seen = set()
 
     def note(frame, *_):
-        nonlocal has_begun
         name = frame.f_code.co_filename
-        has_begun = has_begun or frame.f_code.co_name == begin
-        if has_begun and name not in seen and name.startswith(PACKAGE):
+        if name not in seen and name.startswith(PACKAGE):
             seen.add(name)
-            os.write(file, f"{name.removeprefix(PACKAGE)}\n".encode())
+            add(name.removeprefix(PACKAGE))
 
-    # it returns nothing: the lines of a function are not traced, which costs less than a profile
+    return note  # it returns nothing: the lines of a function are not traced, which costs more
+
+
+def note_files(path):
+    """Write the files to ``path``, a line each, as any thread of this process enters them."""
+    file = os.open(path, os.O_CREAT | os.O_WRONLY)
+    note = tracer(lambda name: os.write(file, f"{name}\n".encode()))
     threading.settrace(note)
     sys.settrace(note)
+
+
+def files_entered(work):
+    """Return the files that a call of ``work`` enters, in their order."""
+    found = []
+    before = sys.gettrace()
+    sys.settrace(tracer(found.append))
+    try:
+        work()
+    finally:
+        sys.settrace(before)
+    return found
 
 
 def way(title):
@@ -43,7 +56,6 @@ def way(title):
 
 
 def check_order(steps, entered):
-    """All files of the steps were entered, and no step before the one that precedes it."""
-    firsts = [[entered.index(file) for file in files] for files in steps]
-    begins = [min(first) for first in firsts]
+    """Each file of the steps was entered, and no step before the one that precedes it."""
+    begins = [min(entered.index(file) for file in files) for files in steps]
     assert begins == sorted(begins), list(zip(steps, begins, strict=True))
