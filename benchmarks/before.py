@@ -68,6 +68,18 @@ def spent(
     return used.ru_utime + used.ru_stime, clock, used.ru_maxrss / 1e6
 
 
+#: Runs a script of this state's benchmarks with the package of a checkout.
+_SERVE = """
+import runpy, sys
+root, checkout, *sys.argv = sys.argv[1:]
+sys.path[:0] = [root]
+import benchmarks, tools.run_tests
+sys.path[:1] = [checkout]
+sys.path.append(root)
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
 class Server:
     """A process of a checkout, or of a copy, that runs a benchmark with ``--serve TIMES``.
 
@@ -75,9 +87,10 @@ class Server:
     """
 
     def __init__(self, script: str, checkout: Path, times: int) -> None:
+        given = [str(ROOT), str(checkout), script, "--serve", str(times)]
         self._process = subprocess.Popen(
-            [python(checkout), script, "--serve", str(times)],
-            env=environment(checkout) | {"PYTHONPATH": f"{checkout}:{ROOT}"},
+            [python(checkout), "-c", _SERVE, *given],
+            env=environment(checkout),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
