@@ -1,6 +1,6 @@
 """Kills (`kill -9`) of a random node at a random moment: what is kept, and does the next one work?
 
-    python -m benchmarks.kills                                  # all parts, 40 minutes
+    python -m benchmarks.kills                                  # all parts, a quarter of an hour
     python -m benchmarks.kills killed_trials --kills 200 --seconds 2400
 
 In a run (``kills``), before the next start of a suite (``killed_starts``), and in trials of the

@@ -1,4 +1,4 @@
-"""Python in a process of its own, forked from one that has loaded Numba: a tenth of the time.
+"""Python in a process of its own, forked from one that has loaded Numba, which saves a second.
 
 Nothing of the package but its compiler is loaded there, and no folder of compiled kernels chosen.
 """

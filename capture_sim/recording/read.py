@@ -84,8 +84,9 @@ def read_run(
 
     Warnings
     --------
-    Measurements are plausible only if ``run.doubts`` is empty, and complete only if
-    ``run.problems`` is.  Reading raises for neither.
+    If ``run.doubts`` or ``run.problems`` is not empty, the measurements are not plausible or not
+    complete; reading raises for neither.  ``run.waived`` names the rules that were not checked,
+    because the trial has waived them.
 
     See Also
     --------

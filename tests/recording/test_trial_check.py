@@ -59,6 +59,11 @@ def whole(tmp_path_factory):
     return records
 
 
+def shown(capsys):
+    captured = capsys.readouterr()
+    return captured.out + captured.err
+
+
 def problems(whole, folder, change=list):
     return checked_trial(dirty.write(folder, "plain", change(whole)))[0]
 
@@ -131,4 +136,4 @@ def test_a_rule_that_the_trial_waives_is_waived_wherever_its_file_is_read(whole,
         for read in (run, read_run(path)):  # the recorder makes the row of the first
             assert (read.summary["doubts"] == []) is is_used
         assert (main(["detect", str(path)]) == 0) is is_used
-        capsys.readouterr()
+        assert ("as the trial has waived them: clock_steps, frames" in shown(capsys)) is is_used
