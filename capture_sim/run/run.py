@@ -521,6 +521,7 @@ class Run(ABC):
             problems=self.problems,
             made_by=self.made_by,
             doubts=[doubt.line for doubt in self.doubts],
+            waived=self.waived,
             contact=self._contact_summary(),
             is_first_contact_seen=self.contact_bounds is None or not self.contact_bounds.why,
             speed_error=0.0 if self._motion is None else speed_error(self._motion, RATE_WINDOW),

@@ -32,6 +32,7 @@ def summarize(
     problems: Sequence[str] = (),
     made_by: Mapping[str, Any] | None = None,
     doubts: Sequence[str] = (),
+    waived: Sequence[str] = (),
     contact: tuple[float | None, float | None, float | None] | None = None,
     is_first_contact_seen: bool = True,
     speed_error: float = 0.0,
@@ -51,7 +52,8 @@ def summarize(
     located touches.  Without ``is_first_contact_seen`` other results of that contact are None,
     because it is hidden in part.  ``speed_error`` is the standard error of the impact speed, 0 if
     it is exact.  ``load_bounds`` are those of :func:`bounds_of_loads`, None for exact loads.
-    ``doubts`` has a line for each plausibility rule that is broken.
+    ``doubts`` has a line for each plausibility rule that is broken, and ``waived`` the names of the
+    rules that were not checked.
     """
     first = first_cluster(touches)
     has_contact = first.size > 0
@@ -71,6 +73,7 @@ def summarize(
         "not_used": "" if status is None else status.not_used,
         "problems": list(problems),
         "doubts": list(doubts),
+        "waived": list(waived),
         "impact_speed": None if is_unmeasured else speed,
         "impact_speed_missing": touch.detail if touch is not None and is_unmeasured else "",
         "impact_speed_error": None if is_unmeasured or speed is None else if_measured(speed_error),
@@ -153,6 +156,7 @@ KEYS = {
         "[rules of plausibility](what_your_recording_must_hold.md) that the measurements break",
         _LINES,
     ),
+    "waived": Key("", "names of rules that were not checked", _LINES),
     "impact_speed": Key("m/s", "speed of the chaser relative to the target at the first touch"),
     "impact_speed_missing": Key(
         "", "why a rig's bag gives no impact speed; empty if it does", _TEXT

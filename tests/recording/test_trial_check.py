@@ -135,5 +135,6 @@ def test_a_rule_that_the_trial_waives_is_waived_wherever_its_file_is_read(whole,
         assert any("frames_differ" in line for line in lines) is not is_used
         for read in (run, read_run(path)):  # the recorder makes the row of the first
             assert (read.summary["doubts"] == []) is is_used
+            assert ("frames_differ" in read.summary["waived"]) is is_used
         assert (main(["detect", str(path)]) == 0) is is_used
         assert ("as the trial has waived them: clock_steps, frames" in shown(capsys)) is is_used
