@@ -183,7 +183,9 @@ def find_scene(name_or_path: str | Path, folder: Path | None = None) -> Path:
     names = scene_names()
     near = difflib.get_close_matches(text[:100], names, n=1)
     hint = f"did you mean {near[0]}?" if near else f"available scenes: {', '.join(names)}"
-    raise SceneError(f"scene {shown(text)}: not found; {hint}")
+    # os.path accepts any text as a path
+    problem = "no scene: must end in .yaml" if os.path.exists(text) else "not found"  # noqa: PTH110
+    raise SceneError(f"scene {shown(text)}: {problem}; {hint}")
 
 
 def read_scene(path: Path, files: list[Path]) -> dict[str, Any]:

@@ -87,9 +87,13 @@ def test_bad_file_is_refused_in_one_clear_line(tmp_path, text, says):
         assert part in message
 
 
-def test_missing_file_and_unknown_name():
+def test_missing_file_and_unknown_name(tmp_path, monkeypatch):
     with pytest.raises(SceneError, match=r"no such file"):
         load_scene("somewhere/else.yaml")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sweep.csv").touch()
+    with pytest.raises(SceneError, match=r"'sweep.csv': no scene: must end in .yaml"):
+        load_scene("sweep.csv")
     with pytest.raises(SceneError, match=r"did you mean tilt_p10\?"):
         load_scene("tilt_p1")
 
