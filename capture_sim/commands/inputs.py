@@ -550,8 +550,7 @@ def _checked(run: Run, path: str, waived: Sequence[str], *, judges: bool) -> Run
     """Return a run without the series that broken plausibility rules exclude.
 
     A line is printed for each broken rule and topic, and one for the rules that the trial has
-    waived.  With ``judges``, RecordingError is raised if
-    a rule of grade *refused* is broken.
+    waived.  With ``judges``, RecordingError is raised if a rule of grade *refused* is broken.
     """
     from capture_sim.plausibility.rules import Grade
     from capture_sim.run.doubts import refuse, remaining

@@ -139,34 +139,45 @@ class TrialBench:
         if has_actuator:
             self.interlocks.note_check((), now)
             self.interlocks.request_check = self._request_check
-            # transient local, so that a driver which starts late holds from its first message on
-            kind = message_class(BOOL)
-            output = node.create_publisher(kind, HOLD, TRANSIENT_LOCAL)
-            self._hold = HoldOutput(lambda is_held: output.publish(kind(data=is_held)))
+            self._hold = self._open_hold()
             self._output_hold()
-            # it matches every publisher: another hand is found at once
-            watch = SubscriptionEventCallbacks(matched=node.guarded(self._hear_publisher))
-            node.create_subscription(
-                kind, HOLD, node.guarded(self._hear_hold), ANYONE, event_callbacks=watch
-            )
-            # twice: one that is latched, and one that no publisher's quality of service excludes
-            for qos in (TRANSIENT_LOCAL, ANYONE):
-                node.create_subscription(
-                    kind, EMERGENCY_STOP, node.guarded(self._hear_emergency_stop), qos
-                )
+            self._listen_for_hands()
+            self._diagnostics = Diagnostics(node)
+            node.every(PERIOD, self._diagnose)
         names = (f"wrench.force.{axis}" for axis in "xyz")
         self._force = Numbers(typestore(), LOAD_CELL.type_name, *names)
+        self._listen_for_measurements()
+        node.listen(CAPTURE_VERDICT, self._receive_verdict)
+        node.every(TICK, self._tick)
+        node.every(LOOK_UP_PERIOD, self._look_up_others)
+
+    def _open_hold(self) -> HoldOutput:
+        """Return the output of launcher/hold."""
+        kind = message_class(BOOL)
+        # transient local, so that a driver which starts late holds from its first message on
+        output = self._node.create_publisher(kind, HOLD, TRANSIENT_LOCAL)
+        return HoldOutput(lambda is_held: output.publish(kind(data=is_held)))
+
+    def _listen_for_hands(self) -> None:
+        """Subscribe to the emergency stop, and to launcher/hold for other publishers of it."""
+        node, kind = self._node, message_class(BOOL)
+        # it matches every publisher: another hand is found at once
+        watch = SubscriptionEventCallbacks(matched=node.guarded(self._hear_publisher))
+        node.create_subscription(
+            kind, HOLD, node.guarded(self._hear_hold), ANYONE, event_callbacks=watch
+        )
+        # twice: one that is latched, and one that no publisher's quality of service excludes
+        for qos in (TRANSIENT_LOCAL, ANYONE):
+            node.create_subscription(
+                kind, EMERGENCY_STOP, node.guarded(self._hear_emergency_stop), qos
+            )
+
+    def _listen_for_measurements(self) -> None:
         for source, measuring in TOPICS_OF_SOURCE.items():
             for topic in measuring:
                 take = partial(self._receive, source, topic, MeasurementReader(topic))
-                node.listen(topic, take, raw=True)
-        node.listen(LOAD_CELL, self._receive_force, raw=True)
-        node.listen(CAPTURE_VERDICT, self._receive_verdict)
-        if self._hold is not None:
-            self._diagnostics = Diagnostics(node)
-            node.every(PERIOD, self._diagnose)
-        node.every(TICK, self._tick)
-        node.every(LOOK_UP_PERIOD, self._look_up_others)
+                self._node.listen(topic, take, raw=True)
+        self._node.listen(LOAD_CELL, self._receive_force, raw=True)
 
     def begin(self, trial: Trial) -> None:
         """Pass measurements and verdicts to this trial from now on; discard earlier steps."""
