@@ -190,6 +190,7 @@ class CaptureDetectorNode(BenchNode, RunPart):
                 state=CaptureState.UNDECIDED, final=True, reason=f"{why} ({statuses[-1].reason})"
             )
             statuses = [*statuses[:-1], last]
+        self._doubts = None  # what has come since the verdict may contradict it
         self._send_all(statuses)
         verdict = self._checked(statuses[-1])
         self.get_logger().info(f"{run.name}: {verdict.label}, {verdict.reason}")
@@ -311,7 +312,8 @@ class CaptureDetectorNode(BenchNode, RunPart):
     def _checked(self, status: CaptureStatus) -> CaptureStatus:
         """Return a status as it may be published: undecided instead of a doubtful verdict.
 
-        The rules are asked once, when there is a verdict.
+        The rules are asked when there is a verdict, and again at the end of the run: some need the
+        whole contact.
         """
         if self._evidence is None or not status.state.is_verdict:
             return status

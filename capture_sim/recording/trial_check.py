@@ -7,7 +7,6 @@ the sensors went on.  Therefore the file itself is read again.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.measurements import OF_A_BENCH
-from capture_sim.messages.topics import CAPTURE_STATUS, LOAD_CELL
+from capture_sim.messages.topics import CAPTURE_STATUS, LOAD_CELL, Topic
 from capture_sim.plausibility.rules import Grade
 from capture_sim.recording.bag import Bag, read_bag
 from capture_sim.recording.clock import stamps_of
@@ -26,6 +25,9 @@ from capture_sim.run.verdict import with_criteria
 #: A source has a gap if two of its measurements are further apart than this, s, and than this
 #: number of its periods (median).
 MIN_GAP, GAP_PERIODS = 0.1, 5.0
+#: Without a verdict, what is missing in the last part of a file is no gap, s: topics end one after
+#: another.
+LAST_PART = 0.5
 #: Accepted difference in the time of a verdict, s: recorder and detector may have received the
 #: messages of different topics in different orders.
 VERDICT_TOLERANCE = 0.1
@@ -37,7 +39,8 @@ def checked_trial(path: Path) -> tuple[list[str], Run | None]:
     The list is empty if the file is whole; without a run that can be read, it says why.
 
     - the file exists, and can be read to its end;
-    - no source has a gap between the release and the verdict, see :data:`MIN_GAP`;
+    - no source has a gap between the release and the verdict, or, without a verdict, the end of the
+      file, see :data:`MIN_GAP` and :data:`LAST_PART`;
     - no rule of plausibility excludes a topic, but those that the trial waives;
     - the detector's verdict, made again from the file, is the recorded one, within 0.1 s.
     """
@@ -57,29 +60,35 @@ def checked_trial(path: Path) -> tuple[list[str], Run | None]:
 
 def _gaps(bag: Bag) -> Iterator[str]:
     """Yield a line for each gap in a source between the release and the verdict."""
+    times = {
+        topic: np.unique(bag.clock.since(_stamps(bag, topic)))
+        for topic in (*OF_A_BENCH, LOAD_CELL)
+        if bag.holds(topic)
+    }
     last = bag.statuses[-1] if bag.holds(CAPTURE_STATUS) else None
-    end = math.inf if last is None else last.t - last.time_in_state * last.state.is_verdict
-    for topic in (*OF_A_BENCH, LOAD_CELL):
-        if not bag.holds(topic):
-            continue
-        if topic is LOAD_CELL:
-            stamps = stamps_of(bag.readable(topic)[0])
-        else:
-            stamps, values, _ = bag.measured(topic)
-            stamps = stamps[np.isfinite(values[:, : OF_A_BENCH[topic].size]).all(axis=1)]
-        t = np.unique(bag.clock.since(stamps))
+    if last is not None and last.state.is_verdict:
+        end = last.t - last.time_in_state
+    else:  # the detector's time stops with a source that stops
+        end = max((t[-1] for t in times.values() if t.size), default=0.0) - LAST_PART
+    for topic, t in times.items():
         if len(t) < 2:
             yield f"{topic.name}: {len(t)} measurements"
             continue
         limit = max(MIN_GAP, GAP_PERIODS * float(np.median(np.diff(t))))
-        if math.isfinite(end):  # the end of the file is no gap where the verdict is not known
-            t = np.append(t, max(end, t[-1]))
-        for begin, until in itertools.pairwise(t.tolist()):
+        for begin, until in itertools.pairwise([*t.tolist(), max(end, t[-1])]):
             if until - begin > limit and until > 0.0 and begin < end:
                 yield (
                     f"{topic.name}: no measurement from {begin:.3f} to {until:.3f} s after the "
                     "release"
                 )
+
+
+def _stamps(bag: Bag, topic: Topic) -> np.ndarray:
+    """Return the stamps (n,), ns, of the measurements of a topic."""
+    if topic is LOAD_CELL:
+        return stamps_of(bag.readable(topic)[0])
+    stamps, values, _ = bag.measured(topic)
+    return stamps[np.isfinite(values[:, : OF_A_BENCH[topic].size]).all(axis=1)]
 
 
 def _other_verdict(run: Run) -> Iterator[str]:

@@ -83,6 +83,24 @@ def test_a_hole_is_named_with_its_times(topic, begin, length, whole, tmp_path):
     assert any(line.startswith(f"{name}: no measurement from {begin:.1f}") for line in lines), lines
 
 
+@pytest.mark.parametrize("topic", [dirty.JOINTS, dirty.CELL])
+@pytest.mark.parametrize("length", [2.0, 99.0])
+@pytest.mark.parametrize("last_status", [0.0, 1.0])
+def test_without_a_verdict_a_hole_counts_up_to_the_end(topic, length, last_status, whole, tmp_path):
+    """The detector's time had ended with a lost source, and what came after counted for nothing."""
+
+    def holed(records):
+        return [
+            r
+            for r in records
+            if (r.topic != topic or not 1.2 < r.t < 1.2 + length)
+            and (not r.topic.startswith("/capture") or r.t < last_status)
+        ]
+
+    lines = problems(whole, tmp_path, holed)
+    assert any(line.startswith(f"{topic[1:]}: no measurement from 1.2") for line in lines), lines
+
+
 def test_a_hole_before_the_release_or_after_the_verdict_is_none(whole, tmp_path):
     end = max(r.t for r in whole if r.topic == "/capture/status")
     kept = [r for r in whole if not (-0.5 < r.t < -0.1 or r.t > end + 0.3)]
