@@ -16,7 +16,7 @@ unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup develop lock run test test-all test-core test-nodes
-.PHONY: test-generic test-numpy1 lint docs benchmark reproduction faults picture format clean test-plain
+.PHONY: test-long-nodes test-generic test-numpy1 lint docs benchmark reproduction faults picture format clean test-plain
 
 help:
 	@echo "make run         set up and run the three experiments; results in runs/"
@@ -64,6 +64,10 @@ test-core: develop
 # A file with the nodes that it shares runs in one process.
 test-nodes: develop
 	$(BIN)/python -m pytest tests/nodes -n $(NODE_WORKERS) --dist loadfile --durations=20
+
+# Those that `make test` leaves out
+test-long-nodes: develop
+	CAPTURE_SIM_CASES=all $(BIN)/python -m pytest tests/nodes -m long -n $(NODE_WORKERS) --dist loadfile
 
 # Rounding differs from one processor to the next, most of all without fused multiply and add, and
 # tests must not depend on it. These are the tests that are most sensitive to it: each has failed for

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 from capture_sim.action import RunTrial
-from cases import cases
 from rig_session import ABORTED, SUCCEEDED, WAITS, FakeRig, Goal, Session, actions_of, rig
 from std_msgs.msg import Bool
 
@@ -242,7 +241,10 @@ def test_who_must_take_part_is_named_when_absent(start, client):
         assert node.chaser.released is None
 
 
-@pytest.mark.parametrize("fault", cases(few=list(UNDECIDED)[:1], all=list(UNDECIDED)))
+@pytest.mark.parametrize(
+    "fault",
+    [pytest.param(each, marks=[pytest.mark.long] * (n > 0)) for n, each in enumerate(UNDECIDED)],
+)
 def test_what_goes_wrong_in_flight_is_named(fault, start, client, tmp_path):
     reason, problem = UNDECIDED[fault]
     session = Session(start, client, tmp_path, launcher=LIMITS | {"time_limit": 8.0})
