@@ -1,6 +1,7 @@
 """Accidents of a laboratory over DDS: each is refused, aborted or named, by a bench at fault."""
 
 import math
+import re
 import shutil
 import signal
 import sys
@@ -261,7 +262,8 @@ def test_what_goes_wrong_in_flight_is_named(fault, start, client, tmp_path):
 def test_a_clock_that_steps_in_flight_ends_the_trial(session):
     status, result = tried(session, "steps in flight")
     assert status == ABORTED
-    assert "clock stepped by -5 s" in result.reason
+    step = float(re.search(r"clock stepped by (-[\d.]+) s", result.reason)[1])
+    assert abs(step + 5.0) < 1.0  # with the delay of a busy machine
     assert session.holds[-1][1]
 
 
