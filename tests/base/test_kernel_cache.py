@@ -1,6 +1,7 @@
 """Compiled kernels on disk: what a second process loads."""
 
 import importlib
+import itertools
 import subprocess
 import sys
 
@@ -160,8 +161,12 @@ finally:
     assert done.stderr.splitlines()[-1] == "False"
 
 
-@pytest.mark.parametrize("suffix", [".nbi", ".nbc", ".bc"])
-@pytest.mark.parametrize("damage", ["cut", "changed", "empty", "gone"])
+#: A .bc file is read only to compile it into another kernel: damaged, it is not noticed here.
+DAMAGES = [*itertools.product((".nbi", ".nbc"), ("cut", "changed", "empty", "gone"))]
+DAMAGES += [(".bc", "gone")]
+
+
+@pytest.mark.parametrize("suffix, damage", DAMAGES)
 def test_damaged_files_are_compiled_again_in_a_line(suffix, damage, tmp_path):
     """A changed pickle may run any code; one that was cut is an error of any kind."""
     (tmp_path / "mine.py").write_text(MODULE)
@@ -171,8 +176,6 @@ def test_damaged_files_are_compiled_again_in_a_line(suffix, damage, tmp_path):
         data = path.read_bytes()
         new = {"cut": data[:-20], "empty": b"", "gone": None}
         new["changed"] = data[:100] + bytes([data[100] ^ 255]) + data[101:]
-        if suffix == ".bc" and damage != "gone":
-            continue  # read only to compile it into another kernel
         path.unlink()
         if new[damage] is not None:
             path.write_bytes(new[damage])
