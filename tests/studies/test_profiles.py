@@ -18,6 +18,8 @@ def test_the_error_of_a_good_fit_is_right():
     found = calibrate(trials, names, restarts=0, profile=["buffer.k_A"])
     (profile,) = found.profiles
     assert profile.is_gaussian, profile.text
+    # the value stays fixed while the others are fitted anew: else the search would go back
+    assert profile.rises == pytest.approx(np.square(DISTANCES), rel=0.45)
     assert profile.values == pytest.approx(profile.value + np.array(DISTANCES) * profile.error)
     low, high = profile.interval(1.0)
     assert (high - low) / 2.0 == pytest.approx(profile.error, rel=0.15)

@@ -229,7 +229,7 @@ def test_gap_is_the_distance_to_the_walls():
 @pytest.mark.parametrize("rate", [20.0, 50.0, 200.0])
 def test_a_chaser_that_was_pulled_back_just_before_the_release_starts_where_it_stands(rate):
     """The poses of the way back are older than those in which it has stood, at any rate."""
-    pulled = 0.2 + WINDOW  # s before the release
+    pulled = 0.05 + WINDOW  # s before the release
 
     def travel(t):
         return travel_at(t) if t > 0.0 else min(max(-0.5 * (t + pulled), 0.0), 0.2)
