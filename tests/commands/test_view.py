@@ -168,7 +168,7 @@ def test_known_scene_comes_before_a_folder_of_its_name(recorded, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     assert load("tilt_0", []).name == "tilt_0"
     assert load("./tilt_0", []).name == "tilt_p10"
-    with pytest.raises(capture_sim.errors.SceneError, match="not found"):
+    with pytest.raises(capture_sim.errors.SceneError, match="no scene: must end in"):
         load("empty", [])
 
 

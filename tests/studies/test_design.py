@@ -137,6 +137,7 @@ def test_a_budget_has_ended_only_when_it_is_used_up(keys, budget):
     check_budget(keys, budget)
 
 
+@pytest.mark.long
 def test_a_budget_for_three_objectives_is_used_up_too():
     """Passes were planned for fewer rows than there are: 1 385 of 8000 were run."""
     check_budget(("max_buffer_force", "max_axial_stroke_in", "max_torsion"), 700)
@@ -150,6 +151,7 @@ def check_budget(keys, budget):
         assert len(found.history) >= 0.95 * 0.88 * budget
 
 
+@pytest.mark.long
 def test_what_free_workers_run_ahead_changes_no_result(servicer, design):
     one, many = Counting(1), Counting(40)
     for executor in (one, many):

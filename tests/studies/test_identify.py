@@ -33,6 +33,7 @@ def test_a_noisy_run_gives_its_parameters_back():
     assert fit.errors[3] < 1e-2 * run.true[3]
 
 
+@pytest.mark.long
 def test_standard_errors_are_those_of_many_noises():
     # the same run seen 12 times: the fitted values scatter as the errors say
     fits = []

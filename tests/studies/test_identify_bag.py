@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from cases import cases
 from noisy_bench import (
     CELL_NOISE,
     CELL_RATE,
@@ -96,7 +97,11 @@ def bench_bag(run, folder, force):
     return folder
 
 
-@pytest.mark.parametrize("name, seed, late", [("tilt_0", 21, 0.0), ("tilt_p10", 24, 0.02)])
+#: Scene, seed, and by how much the release is read too late, s.
+BAGS = [("tilt_0", 21, 0.0), ("tilt_p10", 24, 0.02)]
+
+
+@pytest.mark.parametrize("name, seed, late", cases(few=BAGS[1:], all=BAGS))
 def test_bag_of_a_bench_gives_its_parameters_back(name, seed, late, tmp_path, capsys):
     """``late``: by how much the release is read off a diagram too late, s."""
     run = noisy_run(name, seed)
@@ -162,6 +167,7 @@ def test_standard_errors_are_the_spread_of_48_runs(measured):
     assert np.abs(np.mean(deviations, axis=0)).max() < 1.0
 
 
+@pytest.mark.long
 def test_the_restitution_is_not_biased_by_the_filter_of_a_load_cell():
     """By peaks, e was low by 0.9 of standard errors that were six times as large as now.
 

@@ -69,8 +69,11 @@ def longest_silence(seed, outcome, **disturbance):
     return max(later - earlier for earlier, later in itertools.pairwise(new))
 
 
-@pytest.mark.parametrize("name", SENSORS)
-@pytest.mark.parametrize("outcome", ["captured", "rebound", "missed"])
+#: Each of the sensors, and each of the outcomes, at least once.
+OUTCOMES = [*itertools.product(SENSORS, ["captured", "rebound", "missed"])]
+
+
+@pytest.mark.parametrize("name, outcome", cases(few=OUTCOMES[::2], all=OUTCOMES))
 def test_the_verdict_is_that_of_the_bench(name, outcome):
     for seed in SEEDS:
         trial, last, _ = tried(seed, outcome, **SENSORS[name])
@@ -87,8 +90,12 @@ def test_the_verdict_is_that_of_the_bench(name, outcome):
         assert trial.phase >= TrialPhase.DECIDED
 
 
-@pytest.mark.parametrize("how", [(0.6, math.inf), (1.0, 0.05), (0.0, 0.0)], ids=str)
-@pytest.mark.parametrize("name", ["standard", "hard, hidden as NaN", "no noise"])
+#: Share of the speed, and travel at which the chaser sticks, m.
+FAILURES = [(0.6, math.inf), (1.0, 0.05), (0.0, 0.0)]
+FAILED_LAUNCHES = [*itertools.product(FAILURES, ["standard", "hard, hidden as NaN", "no noise"])]
+
+
+@pytest.mark.parametrize("how, name", cases(few=FAILED_LAUNCHES[::4], all=FAILED_LAUNCHES))
 def test_a_launch_that_fails_is_held(name, how):
     for seed in SEEDS:
         trial, _, held_at = tried(seed, "captured", *how, **SENSORS[name])
