@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.kernel_time import KernelTime
+from benchmarks.counting_executor import KernelTime
 from benchmarks.pages import table, write_parts
 from capture_sim import load_scene, sweep
 from capture_sim.studies.evaluate.executors import open_executor

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import dirty
 import pytest
 from cases import cases
@@ -11,6 +13,7 @@ from capture_sim.errors import RecordingError
 from capture_sim.plausibility.rules import RULES, Grade
 from capture_sim.recording.read import read_run
 from capture_sim.run.run import checked, detect
+from capture_sim.trial.interlocks import TrialLimits
 from tests.live_measurements import check
 
 #: The rules that each kind breaks; nothing else may be said.
@@ -208,3 +211,33 @@ def test_every_rule_has_a_grade_a_threshold_and_a_reason():
         assert rule.compares
         assert rule.threshold
         assert rule.reason
+
+
+def refusing(run):
+    """Return the names of the rules that make a verdict undecided."""
+    return {d.rule.name for d in run.doubts if d.grade is Grade.REFUSED or d.leaves_out_topic}
+
+
+#: Kinds that refuse a verdict of any of the three experiments.
+IN_FLIGHT = ("encoder_inverted", "joints_exchanged", "encoder_stuck", "encoder_stuck_in_flight")
+IN_FLIGHT += ("encoder_in_mm", "target_stands", "frames_differ")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("experiment", ["tilt_0", "tilt_p10", "tilt_m10"])
+@pytest.mark.parametrize("kind", IN_FLIGHT)
+def test_a_verdict_is_refused_by_what_has_come_within_a_second_of_it(kind, experiment, tmp_path):
+    """A trial's detector asks the rules when the chaser is held, `after_verdict` after a verdict.
+
+    Before, it asked them with the verdict only, and an inverted encoder was 'captured'.
+    """
+    records = dirty.CHANGES[kind](dirty.clean(experiment))
+    scene = capture_sim.load_scene(experiment)
+    run = read_run(dirty.write_mcap(tmp_path / "whole.mcap", records), scene=scene)
+    assert refusing(run)
+    statuses = detect(run.replaced(waived=tuple(refusing(run))))
+    first = min(r.t for r in records if r.topic in dirty.BODIES)
+    verdicts = [status.t + first for status in statuses if status.state.is_verdict]
+    held = min(verdicts, default=math.inf) + TrialLimits().after_verdict
+    cut = [record for record in records if record.t <= held]
+    assert refusing(read_run(dirty.write_mcap(tmp_path / "held.mcap", cut), scene=scene))
