@@ -24,9 +24,11 @@ from capture_sim.plausibility.rules import Doubt, Grade, Unapplied
 from capture_sim.plausibility.signals import noise, onset
 from capture_sim.run.bounds import DEVIATIONS, Bounds, contact_bounds, peak_bounds, speed_error
 from capture_sim.run.doubts import CountedSeries, examined, refuse, remaining
+from capture_sim.run.first_contact import first_cluster, first_touch, impact_speed
 from capture_sim.run.frames import Table, events_frame, samples_frame, topic_frame, touches_frame
 from capture_sim.run.given import Given, Integrated
 from capture_sim.run.loads import (
+    NEAREST_ERROR,
     bounds_of_loads,
     if_measured,
     loads_of,
@@ -43,7 +45,7 @@ from capture_sim.run.reconstruction import (
     touches_in_samples,
 )
 from capture_sim.run.series import NO_SERIES, STATE, Series
-from capture_sim.run.summary import end_and_residual, sample_rate, summarize
+from capture_sim.run.summary import end_and_residual, sample_rate
 from capture_sim.run.summary_table import heads
 from capture_sim.run.summary_table import rows as table_rows
 from capture_sim.run.touches import (
@@ -503,29 +505,56 @@ class Run(ABC):
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """Main results of the run, SI units; keys as in results.json."""
+        """Main results of the run, SI units; keys as in results.json.
+
+        A result that the run does not have is None, e.g. the first contact of a run without
+        touches.  They are described in :data:`capture_sim.run.summary.KEYS`.
+        """
         known = self.given.integrated
         if known is None:
             known = Integrated(*end_and_residual(self.samples, self.scene.run.rate))
-        return summarize(
-            self.name,
-            self.touches,
-            self.events,
-            self.statuses[-1] if self.statuses else None,
-            self.loads,
-            loads_from="integration" if self.given.extremes is not None else self._loads_from,
-            load_bounds=bounds_of_loads(self.loads, self.load_bounds),
-            energy_residual=known.energy_residual,
-            simulated=known.t_end,
-            wall_time=self.wall_time,
-            problems=self.problems,
-            made_by=self.made_by,
-            doubts=[doubt.line for doubt in self.doubts],
-            waived=self.waived,
-            contact=self._contact_summary(),
-            is_first_contact_seen=self.contact_bounds is None or not self.contact_bounds.why,
-            speed_error=0.0 if self._motion is None else speed_error(self._motion, RATE_WINDOW),
-        )
+        status = self.statuses[-1] if self.statuses else None
+        since = math.nan if status is None else status.t - status.time_in_state
+        touch, speed = first_touch(self.events), impact_speed(self.events)
+        is_unmeasured = touch is not None and speed is not None and math.isnan(speed)
+        error = 0.0 if self._motion is None else speed_error(self._motion, RATE_WINDOW)
+        first = first_cluster(self.touches)
+        time, low, high = self._contact_summary(first)
+        # of a contact that is hidden in part, only the time is known
+        is_whole = self.contact_bounds is None or not self.contact_bounds.why
+        is_seen = first.size > 0 and is_whole
+        return {
+            "name": self.name,
+            "verdict": None if status is None else status.state.label,
+            "verdict_time": if_measured(since),
+            "verdict_time_low": None if status is None else if_measured(since - status.may_precede),
+            "verdict_time_high": None if status is None else if_measured(since + status.may_follow),
+            "left_again": status is not None and status.left_again,
+            "not_used": "" if status is None else status.not_used,
+            "problems": list(self.problems),
+            "doubts": [doubt.line for doubt in self.doubts],
+            "waived": list(self.waived),
+            "impact_speed": None if is_unmeasured else speed,
+            "impact_speed_missing": touch.detail if touch is not None and is_unmeasured else "",
+            "impact_speed_error": None if is_unmeasured or speed is None else if_measured(error),
+            "first_contact_time": time,
+            "first_contact_time_low": low,
+            "first_contact_time_high": high,
+            "first_contact_duration": float(first["end"].max() - first["start"].min())
+            if is_seen
+            else None,
+            "first_contact_touches": int(first.size) if is_whole else None,
+            "first_contact_peak_force": if_measured(first["peak_force"].max()) if is_seen else None,
+            "normal_impulse": if_measured(self.touches["impulse"].sum()),
+            NEAREST_ERROR: 0.0,
+            **self.loads,
+            **bounds_of_loads(self.loads, self.load_bounds),
+            "loads_from": "integration" if self.given.extremes is not None else self._loads_from,
+            "energy_residual": if_measured(known.energy_residual),
+            "wall_time": self.wall_time,
+            "real_time_factor": known.t_end / self.wall_time if self.wall_time else None,
+            "made_by": dict(self.made_by),
+        }
 
     @property
     def _loads_from(self) -> str:
@@ -533,11 +562,14 @@ class Run(ABC):
         rate = 0.0 if self.is_exact else self.measured("stroke").rate
         return f"{text}, of the buffer at {rate:.4g} Hz" if rate else text
 
-    def _contact_summary(self) -> tuple[float | None, float | None, float | None] | None:
-        """Return time and bounds of the first contact of a measured run; None if it is exact."""
+    def _contact_summary(
+        self, touches: np.ndarray
+    ) -> tuple[float | None, float | None, float | None]:
+        """Return the time of the first contact, whose touches are given, and its bounds, s."""
         bounds, first = self.contact_bounds, self.first_contact
         if self._motion is None:
-            return None
+            exact = float(touches["start"].min()) if touches.size else None
+            return exact, exact, exact
         t = None if first is None else first.t
         if bounds is None:
             return t, None, None

@@ -5,96 +5,13 @@ from __future__ import annotations
 import copy
 import functools
 import json
-import math
-from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from capture_sim.detection.criteria import CaptureStatus
-from capture_sim.dynamics.samples import EXTREMES, TOUCH, Event, Extremes
-from capture_sim.run.first_contact import first_cluster, first_touch, impact_speed
-from capture_sim.run.loads import NEAREST_ERROR, bounds_of_loads, if_measured, loads_of
+from capture_sim.dynamics.samples import EXTREMES, TOUCH, Extremes
+from capture_sim.run.loads import NEAREST_ERROR, bounds_of_loads, loads_of
 from capture_sim.run.series import at_rate
-
-
-def summarize(
-    name: str,
-    touches: np.ndarray,
-    events: Sequence[Event],
-    status: CaptureStatus | None,
-    loads: Mapping[str, Any],
-    *,
-    loads_from: str,
-    energy_residual: float,
-    simulated: float,
-    wall_time: float | None,
-    problems: Sequence[str] = (),
-    made_by: Mapping[str, Any] | None = None,
-    doubts: Sequence[str] = (),
-    waived: Sequence[str] = (),
-    contact: tuple[float | None, float | None, float | None] | None = None,
-    is_first_contact_seen: bool = True,
-    speed_error: float = 0.0,
-    load_bounds: Mapping[str, float | None] | None = None,
-) -> dict[str, Any]:
-    """Return the main results of a run by the keys of results.json, SI units.
-
-    A result that the run does not have is None, e.g. the first contact of a run without touches.
-
-    ``touches`` (n,) are of dtype TOUCH, and ``status`` is the detector's last status, None without
-    any.  ``loads`` are those of :func:`loads_of`; ``loads_from`` names their source in words.
-    ``energy_residual`` is the largest residual of the energy ledger in the samples at ``run.rate``,
-    J; NaN if it was not measured.  ``simulated`` is the run's duration, s, and ``wall_time`` the
-    duration of its computation, s.  ``problems`` are the reasons why the run or its recording is
-    incomplete, which may affect every result.  ``made_by`` is the provenance of the run, see
-    :attr:`Run.made_by`.  ``contact`` has the time of the first contact and its bounds, None for
-    located touches.  Without ``is_first_contact_seen`` other results of that contact are None,
-    because it is hidden in part.  ``speed_error`` is the standard error of the impact speed, 0 if
-    it is exact.  ``load_bounds`` are those of :func:`bounds_of_loads`, None for exact loads.
-    ``doubts`` has a line for each plausibility rule that is broken, and ``waived`` the names of the
-    rules that were not checked.
-    """
-    first = first_cluster(touches)
-    has_contact = first.size > 0
-    is_seen = has_contact and is_first_contact_seen
-    touch, speed = first_touch(events), impact_speed(events)
-    if contact is None:
-        contact = (float(first["start"].min()),) * 3 if has_contact else (None,) * 3
-    since = math.nan if status is None else status.t - status.time_in_state
-    is_unmeasured = touch is not None and speed is not None and math.isnan(speed)
-    return {
-        "name": name,
-        "verdict": None if status is None else status.state.label,
-        "verdict_time": if_measured(since),
-        "verdict_time_low": None if status is None else if_measured(since - status.may_precede),
-        "verdict_time_high": None if status is None else if_measured(since + status.may_follow),
-        "left_again": status is not None and status.left_again,
-        "not_used": "" if status is None else status.not_used,
-        "problems": list(problems),
-        "doubts": list(doubts),
-        "waived": list(waived),
-        "impact_speed": None if is_unmeasured else speed,
-        "impact_speed_missing": touch.detail if touch is not None and is_unmeasured else "",
-        "impact_speed_error": None if is_unmeasured or speed is None else if_measured(speed_error),
-        "first_contact_time": contact[0],
-        "first_contact_time_low": contact[1],
-        "first_contact_time_high": contact[2],
-        "first_contact_duration": float(first["end"].max() - first["start"].min())
-        if is_seen
-        else None,
-        "first_contact_touches": int(first.size) if is_first_contact_seen else None,
-        "first_contact_peak_force": if_measured(first["peak_force"].max()) if is_seen else None,
-        "normal_impulse": if_measured(touches["impulse"].sum()),
-        NEAREST_ERROR: 0.0,
-        **loads,
-        **(load_bounds or bounds_of_loads(loads, None)),
-        "loads_from": loads_from,
-        "energy_residual": if_measured(energy_residual),
-        "wall_time": wall_time,
-        "real_time_factor": simulated / wall_time if wall_time else None,
-        "made_by": dict(made_by or {}),
-    }
 
 
 def sample_rate(samples: np.ndarray) -> float:
