@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from typing import Any
@@ -39,6 +39,7 @@ from capture_sim.nodes.protocol.ends import RunEnd
 from capture_sim.nodes.protocol.follower import AnnouncedRun, Follower, RunPart
 from capture_sim.nodes.protocol.roll import RunReport
 from capture_sim.nodes.trials.evidence import Evidence, refusing
+from capture_sim.plausibility.clocks import OF_ARRIVALS
 from capture_sim.scene.parts import Detector
 from capture_sim.trial.hold import HoldListener
 
@@ -190,7 +191,8 @@ class CaptureDetectorNode(BenchNode, RunPart):
                 state=CaptureState.UNDECIDED, final=True, reason=f"{why} ({statuses[-1].reason})"
             )
             statuses = [*statuses[:-1], last]
-        self._doubts = None  # what has come since the verdict may contradict it
+        if self._doubts == "":  # what has come since the verdict may contradict it
+            self._doubts = self._asked(but=OF_ARRIVALS)
         self._send_all(statuses)
         verdict = self._checked(statuses[-1])
         self.get_logger().info(f"{run.name}: {verdict.label}, {verdict.reason}")
@@ -313,16 +315,21 @@ class CaptureDetectorNode(BenchNode, RunPart):
         """Return a status as it may be published: undecided instead of a doubtful verdict.
 
         The rules are asked when there is a verdict, and again at the end of the run: some need the
-        whole contact.
+        whole contact.  Those of clocks are not asked again, as this node may be late by then.
         """
         if self._evidence is None or not status.state.is_verdict:
             return status
         if self._doubts is None:
-            doubts = refusing(self._evidence.of_trial(self.run.scene))
-            self._doubts = one_line("; ".join(doubt.line for doubt in doubts))
+            self._doubts = self._asked()
         if not self._doubts:
             return status
         return status._replace(state=CaptureState.UNDECIDED, final=True, reason=self._doubts)
+
+    def _asked(self, but: Collection[str] = ()) -> str:
+        """Return the rules but these that refuse a verdict, each with its finding; '' if none."""
+        assert self._evidence is not None
+        doubts = refusing(self._evidence.of_trial(self.run.scene, but))
+        return one_line("; ".join(doubt.line for doubt in doubts))
 
 
 def _check_criterion(name: str, value: float) -> None:

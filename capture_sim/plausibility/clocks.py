@@ -152,6 +152,10 @@ def _lead(channel: Channel, other: Channel) -> float:
     return float(np.sign(lead) * max(abs(lead) - (high - low), 0.0))
 
 
+#: Rules that compare stamps with arrivals, which a busy node delays.
+OF_ARRIVALS = ("clock_offset", "clock_steps", "clock_drifts")
+
+
 @rule(
     "clock_offset",
     Grade.REFUSED,

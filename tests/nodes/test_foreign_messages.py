@@ -162,7 +162,9 @@ def test_three_thousand_refusals_are_few_lines(bench, foreign):
     for name, since in began.items():
         client.await_answers_of(f"/{name}")
         nodes[name].wait_for("bench/run_info: rejected: ", since=since)
-        assert len(nodes[name].lines) - since < 3, name
+        # a busy machine's nodes also log of whom they have not heard
+        lines = [line for line in nodes[name].lines[since:] if "bench/run_info" in line]
+        assert len(lines) < 3, name
 
 
 def test_odd_messages_end_no_node(bench, foreign):

@@ -80,13 +80,14 @@ class Evidence:
         # here a clock that varies is refused, and tried again a moment later
         return self._doubts_of(held, scene, [name for name in self._waived if name in RULES])
 
-    def of_trial(self, scene: Scene) -> tuple[Doubt, ...]:
+    def of_trial(self, scene: Scene, but: Collection[str] = ()) -> tuple[Doubt, ...]:
         """Return the broken rules of the messages since the release, each with its finding.
 
-        Of a long trial, only the last :data:`MAX_AGE` s count.
+        Of a long trial, only the last :data:`MAX_AGE` s count.  ``but``: names of rules that are
+        left out.
         """
         evidence = evidence_in(self._since(self._begun))
-        return self._doubts_of(evidence, scene, rules_among(self._waived))
+        return self._doubts_of(evidence, scene, rules_among((*self._waived, *but)))
 
     def _doubts_of(
         self, evidence: Sequence[Measured], scene: Scene | None, waived: Collection[str]
