@@ -192,7 +192,7 @@ class CaptureDetectorNode(BenchNode, RunPart):
             )
             statuses = [*statuses[:-1], last]
         if self._doubts == "":  # what has come since the verdict may contradict it
-            self._doubts = self._asked(but=OF_ARRIVALS)
+            self._doubts = self._refusal(but=OF_ARRIVALS)
         self._send_all(statuses)
         verdict = self._checked(statuses[-1])
         self.get_logger().info(f"{run.name}: {verdict.label}, {verdict.reason}")
@@ -314,19 +314,22 @@ class CaptureDetectorNode(BenchNode, RunPart):
     def _checked(self, status: CaptureStatus) -> CaptureStatus:
         """Return a status as it may be published: undecided instead of a doubtful verdict.
 
-        The rules are asked when there is a verdict, and again at the end of the run: some need the
-        whole contact.  Those of clocks are not asked again, as this node may be late by then.
+        The rules are checked when there is a verdict, and again at the end of the run: some need
+        the whole contact.  Those of clocks are not checked again: this node may be late by then.
         """
         if self._evidence is None or not status.state.is_verdict:
             return status
         if self._doubts is None:
-            self._doubts = self._asked()
+            self._doubts = self._refusal()
         if not self._doubts:
             return status
         return status._replace(state=CaptureState.UNDECIDED, final=True, reason=self._doubts)
 
-    def _asked(self, but: Collection[str] = ()) -> str:
-        """Return the rules but these that refuse a verdict, each with its finding; '' if none."""
+    def _refusal(self, but: Collection[str] = ()) -> str:
+        """Return the broken rules that refuse a verdict, in a line; '' if there are none.
+
+        ``but``: names of rules that are not checked.
+        """
         assert self._evidence is not None
         doubts = refusing(self._evidence.of_trial(self.run.scene, but))
         return one_line("; ".join(doubt.line for doubt in doubts))

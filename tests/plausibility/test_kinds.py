@@ -227,9 +227,9 @@ IN_FLIGHT += ("encoder_in_mm", "target_stands", "frames_differ")
 @pytest.mark.parametrize("experiment", ["tilt_0", "tilt_p10", "tilt_m10"])
 @pytest.mark.parametrize("kind", IN_FLIGHT)
 def test_a_verdict_is_refused_by_what_has_come_within_a_second_of_it(kind, experiment, tmp_path):
-    """A trial's detector asks the rules when the chaser is held, `after_verdict` after a verdict.
+    """A trial's detector checks the rules again `after_verdict` after a verdict.
 
-    Before, it asked them with the verdict only, and an inverted encoder was 'captured'.
+    Before, it checked them with the verdict only, and an inverted encoder was 'captured'.
     """
     records = dirty.CHANGES[kind](dirty.clean(experiment))
     scene = capture_sim.load_scene(experiment)

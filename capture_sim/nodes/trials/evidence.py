@@ -51,11 +51,6 @@ class Evidence:
     def __init__(self, waived: Collection[str]) -> None:
         self._waived = waived
         self._kept: dict[str, _Kept] = {}
-        self._begun = 0  # ns, arrival from which on a trial counts
-
-    def begin(self, now: int) -> None:
-        """Note the release: :meth:`of_trial` checks only messages that arrive from now on, ns."""
-        self._begun = now
 
     def add(self, topic: Topic, data: bytes, arrival: int) -> None:
         """Add a serialised message of a topic."""
@@ -81,12 +76,12 @@ class Evidence:
         return self._doubts_of(held, scene, [name for name in self._waived if name in RULES])
 
     def of_trial(self, scene: Scene, but: Collection[str] = ()) -> tuple[Doubt, ...]:
-        """Return the broken rules of the messages since the release, each with its finding.
+        """Return the broken rules of all messages that were added, each with its finding.
 
         Of a long trial, only the last :data:`MAX_AGE` s count.  ``but``: names of rules that are
         left out.
         """
-        evidence = evidence_in(self._since(self._begun))
+        evidence = evidence_in(self._since(0))
         return self._doubts_of(evidence, scene, rules_among((*self._waived, *but)))
 
     def _doubts_of(
