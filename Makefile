@@ -23,6 +23,7 @@ help:
 	@echo "make test        set up, check the style and run the tests, with few cases each"
 	@echo "make test-all    ... with all cases, with a processor's other rounding, and with NumPy 1.26"
 	@echo "make test-core   only the tests without nodes; make test-nodes: only those of the nodes"
+	@echo "make test-long-nodes those of the nodes that make test leaves out"
 	@echo "make test-generic run the numerical tests as compiled for any processor of this kind"
 	@echo "make test-numpy1 run the core tests with an apt Jazzy's NumPy, 1.26, and without rerun"
 	@echo "make test-plain  install without ROS in an environment of its own, and run README's Python"

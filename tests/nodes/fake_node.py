@@ -1,5 +1,6 @@
 """A node without DDS: its clock, its graph and what comes are the test's."""
 
+import copy
 import math
 import threading
 from collections import defaultdict
@@ -92,7 +93,7 @@ class FakeNode:
         self.topic_publishers.topics += topics
 
     def send(self, topic, message):
-        self.sent.append((self.now, topic, message))
+        self.sent.append((self.now, topic, copy.copy(message)))
         return True
 
     def guarded(self, callback):

@@ -24,6 +24,7 @@ from capture_sim.nodes.protocol.roll import (
     DONE,
     FREE,
     FREE_TIMEOUT,
+    HEARING_TIMEOUT,
     READY,
     Roll,
     run_key,
@@ -67,13 +68,14 @@ class Part:
     cancel = end
 
 
-def part_of(state, run="", participant=OTHER):
+def part_of(state, run="", participant=OTHER, heard=()):
     return message_class(ROLL.type_name)(
         participant=participant,
         role=participant[1:].partition("#")[0],
         sources=["simulation"],
         state=state,
         run=run,
+        heard=heard,
     )
 
 
@@ -361,14 +363,32 @@ def test_a_node_that_hears_no_other_is_alone(node):
     assert node.now == pytest.approx(ALONE_TIME, abs=0.1)
 
 
-@pytest.mark.parametrize("heard", [[0.1], [0.1, 0.3]])
-def test_a_node_that_hears_others_waits_until_it_hears_no_further_one(heard, node):
+@pytest.mark.parametrize(
+    "knows, begins",
+    [
+        ([], DISCOVERY_TIME),
+        (["/simulator#0"], DISCOVERY_TIME),  # this node, or one that it replaces
+        (["/second#1"], 1.5),
+        (["/killed#1"], DISCOVERY_TIME + HEARING_TIMEOUT),
+    ],
+)
+def test_a_node_waits_for_the_nodes_that_another_one_has_heard(knows, begins, node):
     """It began with the first, before it knew that a second one filled the same role."""
-    for number, t in enumerate(heard):
-        part = part_of(FREE, participant=f"/node_{number}#{number}")
-        node.at(t, lambda part=part: node.hear(ROLL, part))
+    node.at(0.1, lambda: node.hear(ROLL, part_of(FREE, participant="/first#1", heard=knows)))
+    node.at(1.5, lambda: node.hear(ROLL, part_of(FREE, participant="/second#1")))
     alone(node).await_nodes("tilt_0", 60.0)
-    assert node.now == pytest.approx(heard[-1] + DISCOVERY_TIME, abs=0.05)
+    assert node.now == pytest.approx(begins, abs=0.05)
+
+
+def test_a_node_tells_at_once_whom_it_has_heard_and_no_longer_once_that_has_left(node):
+    node.publishers = ["/simulator", "/first"]
+    Roll(node, "simulator")
+    node.at(1.1, lambda: node.hear(ROLL, part_of(FREE, participant="/first#1")))
+    node.at(2.5, lambda: node.publishers.remove("/first"))
+    node.wait(limit=5.0)
+    told = {round(t, 1): message.heard for t, topic, message in node.sent if topic is ROLL}
+    assert told[1.0] == told[3.0] == []
+    assert told[1.1] == told[2.0] == ["/first#1"]
 
 
 @pytest.mark.parametrize("is_named", [True, False])

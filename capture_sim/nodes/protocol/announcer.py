@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -291,23 +290,16 @@ class Announcer:
         """Wait until other nodes can have been discovered since this node's start.
 
         The wait lasts :data:`DISCOVERY_TIME` after the start.  If ``wait_for`` is empty, it lasts
-        until another node has been heard as well, and no further one for that time: one that is
-        heard last may fill a role twice.  It ends :data:`ALONE_TIME` after the start at the latest.
+        until another node has been heard as well, :data:`ALONE_TIME` at most.  Those that this one
+        has heard are waited for in :meth:`Roll.await_heard`.
         """
-        is_alone = not self._wait_for
-        heard = 0, -math.inf  # nodes, and since when they are as many, s
 
         def age() -> float:
             self._check()
             return time.monotonic() - self._node.created
 
         def is_over() -> bool:
-            nonlocal heard
-            now = age()
-            if len(self._roll.parts) != heard[0]:
-                heard = len(self._roll.parts), now
-            is_settled = heard[0] > 0 and now - heard[1] > DISCOVERY_TIME
-            return now > DISCOVERY_TIME and (not is_alone or is_settled)
+            return age() > DISCOVERY_TIME and bool(self._wait_for or self._roll.parts)
 
         self._node.wait(is_over, max(0.0, ALONE_TIME - age()))
 

@@ -7,6 +7,9 @@ directions: B knows all subscriptions of A, and A knows all publishers of B.  A 
 is ready once it has a part from each participant.  The first message of a run is sent when all
 participants are ready, so none of them misses it.  Both waits have a time limit.
 
+A part also names the nodes that its sender has heard.  Before a node announces a run it waits until
+it has heard all of them, so it overlooks no node that another one knows.
+
 The node that announces a run waits for nodes, sends RunInfo, waits until all participants are
 ready, and sends the messages.  It then ends the run: a simulator by its StreamCounts, a trial by a
 RunInfo with an empty run_id.  Then it waits until all participants are done.  After a simulated run
@@ -69,6 +72,7 @@ class RollPart:
     run: str
     source: str  # of that run
     report: RunReport
+    heard: tuple[str, ...]  # ids of the nodes that it has heard, and that are there
 
     @property
     def node(self) -> str:
@@ -190,7 +194,7 @@ class Roll:
             file=report.file,
         )
         self._own = message
-        self._node.send(ROLL, message)
+        self._send()
 
     @contextmanager
     def keep_reporting(self) -> Iterator[None]:
@@ -220,8 +224,7 @@ class Roll:
         this node regards as acknowledged.  Fast DDS does not recover from that;
         docs/evidence/node_suite.md shows the packets.
         """
-        if self._own is not None:
-            self._node.send(ROLL, self._own)
+        self._send()
         now, own = time.monotonic(), self._node.get_fully_qualified_name()
         if now > self._checked + 2.0 * SIGN_PERIOD:  # this node has stood still itself
             self._heard.clear()
@@ -306,11 +309,15 @@ class Roll:
         return [p.node for p in self.parts.values() if p.is_in_trial and self.may_be_there(p.id)]
 
     def await_heard(self) -> None:
-        """Wait until all nodes that publish on the roll are heard, at most HEARING_TIMEOUT."""
+        """Wait until all nodes of the roll are heard, at most HEARING_TIMEOUT.
+
+        These are the nodes that DDS reports, and those that another node has heard.
+        """
         own = Counter([self._node.get_fully_qualified_name()] * self._is_listed)
 
         def all_heard() -> bool:
-            return not self._nodes() - own - Counter(part.node for part in self.parts.values())
+            here = Counter(part.node for part in self.parts.values())
+            return not self._nodes() - own - here and not self._known_to_others()
 
         self._node.wait(all_heard, HEARING_TIMEOUT)
 
@@ -354,6 +361,20 @@ class Roll:
         """
         return self.is_there(participant) or participant not in self._seen
 
+    def _known_to_others(self) -> set[str]:
+        """Return the ids of nodes that others have heard and this node has not.
+
+        A node of this node's own name is the one that this node replaces.
+        """
+        heard = {id_ for p in self.parts.values() if self.may_be_there(p.id) for id_ in p.heard}
+        return {id_ for id_ in heard - set(self.parts) if node_of(id_) != node_of(self.id)}
+
+    def _send(self) -> None:
+        """Publish this node's part, if it is listed, with the nodes that it has heard by now."""
+        if self._own is not None:
+            self._own.heard = [id_ for id_ in self.parts if self.is_there(id_)]
+            self._node.send(ROLL, self._own)
+
     def _nodes(self) -> Counter[str]:
         now = time.monotonic()
         if now > self._looked + POLL:  # a look-up costs 0.1 ms
@@ -375,7 +396,9 @@ class Roll:
             message.run,
             message.source,
             RunReport(() if message.complete else (message.reason,), message.file),
+            tuple(message.heard),
         )
+        is_new = part.id not in self.parts
         self.parts[part.id] = part
         self._heard[part.node] = time.monotonic()
         if part.id not in self._signs and part.role == self._role and self._is_listed:
@@ -388,3 +411,5 @@ class Roll:
             self._silent.remove(part.node)
             self._node.get_logger().info(f"{part.node}: heard again")
         self._on_part(part)
+        if is_new:
+            self._send()  # a node that starts now is told of it at once
