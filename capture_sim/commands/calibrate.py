@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +37,7 @@ from capture_sim.commands.output import (
     write_json,
 )
 from capture_sim.errors import SceneError
+from capture_sim.recording.bag_folder import sha256_of
 from capture_sim.run.run import Run
 from capture_sim.scene.files import scene_names
 from capture_sim.scene.loading import load_scene
@@ -193,6 +193,8 @@ def run(options: argparse.Namespace) -> int:
         )
         for source in options.trials
     ]
+    # now: a fit takes minutes, and by its end a recording may have been moved
+    hashes = {run.origin.path: sha256_of(Path(run.origin.path)) for run in runs}
     weighed = _weighed(runs[0].scene, options.weighed)
     prepare_folder(options.out)
     compile_first()
@@ -217,7 +219,7 @@ def run(options: argparse.Namespace) -> int:
         found = dataclasses.replace(found, prediction=prediction)
     with transcript() as shown:
         _print(found)
-    _write(found, runs, shown, options)
+    _write(found, runs, hashes, shown, options)
     if is_unfinished:
         return INTERRUPTED
     return OK if found.is_usable else FAILED
@@ -467,6 +469,7 @@ def _print_prediction(prediction: Prediction) -> None:
 def _write(
     found: Calibration,
     runs: Sequence[Run],
+    hashes: Mapping[str, str],
     shown: Sequence[str | Section],
     options: argparse.Namespace,
 ) -> None:
@@ -478,7 +481,7 @@ def _write(
     path = write_text(out / SCENE, scene_text(found, scene, extends, title))
     load_scene(path)  # what is written can be read
     echo(f"calibrated scene in {path}")
-    data = as_data(found, {start.trial: _sha256(Path(start.trial)) for start in found.starts})
+    data = as_data(found, hashes)
     give(lambda: data)
     echo(f"values, covariance and tests in {write_json(out / JSON, data)}")
     lines = [table_text(HEAD, parameter_rows(found)), ""]
@@ -532,16 +535,3 @@ def _extended(scene: Scene, folder: Path) -> str:
         return scene.name
     write_text(folder / _BENCH, scene.to_yaml())
     return _BENCH.removesuffix(".yaml")
-
-
-def _sha256(path: Path) -> str:
-    """Return the SHA-256 hash of a recording, in hexadecimal digits.
-
-    For the folder of a bag, it is the hash of all its .mcap files in the order of their names.
-    """
-    digest = hashlib.sha256()
-    for file in sorted(path.glob("*.mcap")) if path.is_dir() else [path]:
-        with file.open("rb") as opened:
-            while block := opened.read(1 << 20):
-                digest.update(block)
-    return digest.hexdigest()

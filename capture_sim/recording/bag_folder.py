@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import filecmp
+import hashlib
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -79,6 +80,19 @@ def bag_files(path: Path) -> BagFiles:
     if not files:
         raise RecordingError(f"{path}: contains no .mcap or .db3 file")
     return BagFiles(tuple(files), left_out, tuple(doubts))
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 hash of a recording in hexadecimal digits: of the files that are read.
+
+    They are hashed in the order in which they are read, as if they were one file.
+    """
+    digest = hashlib.sha256()
+    for file in filter(Path.is_file, bag_files(path).files):
+        with file.open("rb") as opened:
+            while block := opened.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()
 
 
 def _is_part(path: Path) -> bool:

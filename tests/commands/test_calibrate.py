@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import signal
@@ -41,6 +42,8 @@ def test_its_scene_runs_and_its_numbers_are_read_again(trials, tmp_path, capfd):
         assert table in (out / "calibration.html").read_text(encoding="utf-8")
     found = json.loads((out / "calibration.json").read_text(encoding="utf-8"))
     assert found["findings"] == []
+    hashes = [hashlib.sha256(trial.read_bytes()).hexdigest() for trial in trials]
+    assert [trial["sha256"] for trial in found["trials"]] == hashes
     assert [profile["name"] for profile in found["profiles"]] == ["c_rr"]
     scene = capture_sim.load_scene(out / "calibrated.yaml")
     assert scene.supports.chaser.c_rr == pytest.approx(0.001, rel=1e-3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import hashlib
 import struct
 from functools import partial
 
@@ -18,6 +19,7 @@ from capture_sim.cli import main
 from capture_sim.errors import CaptureSimError, RecordingError
 from capture_sim.messages.topics import JOINT_STATES
 from capture_sim.recording.bag import read_bag
+from capture_sim.recording.bag_folder import bag_files, sha256_of
 from capture_sim.recording.playback import Playback
 from capture_sim.recording.read import read_run
 from capture_sim.run.run import detect
@@ -75,6 +77,16 @@ def test_bag_holds_the_messages_that_rosbags_reads(kind, tmp_path):
     for name in bag.topics:
         expected = [(bytes(data), time) for c, time, data in read if c.topic == name]
         assert list(zip(bag.raw(name), bag.log_times(name).tolist(), strict=True)) == expected
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "file_twice", "lone_zstd"])
+def test_the_hash_of_a_recording_is_that_of_the_files_that_are_read(kind, tmp_path):
+    """That of a .db3 file's folder was the hash of nothing."""
+    path = dirty.write(tmp_path, kind)
+    files = bag_files(path).files
+    assert all(file.stat().st_size for file in files)
+    whole = b"".join(file.read_bytes() for file in files)
+    assert sha256_of(path) == hashlib.sha256(whole).hexdigest()
 
 
 @pytest.mark.parametrize("kind", ["compressed_messages", "sqlite_compressed_file", "lone_zstd"])
