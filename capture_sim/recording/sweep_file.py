@@ -39,9 +39,10 @@ def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -
     """Write a table of :func:`capture_sim.sweep`, as CSV or Parquet by its suffix; return its path.
 
     ``about`` is what made the table, e.g. the seed; it must contain the text of the scene as
-    ``scene``.  It is written together with the scene's name, overrides and hash and with the
-    software: in a Parquet file as the table's ``attrs["made_by"]``, next to a CSV as
-    ``<name>_made_by.json``.  There, ``scene`` is the scene's name and ``scene_text`` its text.
+    ``scene``.  It is written together with the scene's name, overrides and hash, the software and
+    the number of rows (``written``, fewer than ``runs`` after Ctrl-C): in a Parquet file as the
+    table's ``attrs["made_by"]``, next to a CSV as ``<name>_made_by.json``.  There, ``scene`` is the
+    scene's name and ``scene_text`` its text.
 
     RecordingError if a file cannot be written, if the suffix is another one, or if pandas, or
     pyarrow for a Parquet file, is not installed.
@@ -50,6 +51,7 @@ def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -
     scene = about["scene"]
     origin = {**scene_origin(load_scene_text(scene)), "software": list(software_versions())}
     made_by = {**origin, **about, "scene": origin["scene"], "scene_text": scene}
+    made_by["written"] = len(table)
     units = table.attrs["units"]
     with whole_file(path) as part:
         if path.suffix == ".parquet":
@@ -65,7 +67,10 @@ def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -
 
 
 def is_complete(path: Path, about: Mapping[str, Any]) -> bool:
-    """Return True if a table was written with the same ``about``, see :func:`write_sweep`."""
+    """Return True if a table was written with the same ``about``, and with all of its ``runs``.
+
+    See :func:`write_sweep`.  Older tables do not say how many rows they have.
+    """
     try:
         if path.suffix == ".parquet":
             metadata = arrow()[1].read_schema(path).metadata
@@ -75,6 +80,8 @@ def is_complete(path: Path, about: Mapping[str, Any]) -> bool:
             made_by = json.loads(text)
         wanted = {**about, "scene_text": about["scene"], "software": list(software_versions())}
         del wanted["scene"]
+        if made_by.get("written", about["runs"]) != about["runs"]:
+            return False
         return path.is_file() and json.loads(json.dumps(wanted)) == {
             name: made_by.get(name) for name in wanted
         }

@@ -26,7 +26,7 @@ from capture_sim.base.journal import Journal
 from capture_sim.cli import main
 from capture_sim.dynamics.samples import EXTREMES, TOUCH, Extremes
 from capture_sim.errors import RecordingError
-from capture_sim.recording.sweep_file import read_cases
+from capture_sim.recording.sweep_file import is_complete, read_cases, write_sweep
 from capture_sim.run.loads import LOADS, loads_of
 from capture_sim.scene import paths
 from capture_sim.scene.approach import approach_of, placed
@@ -540,6 +540,8 @@ def test_a_command_that_is_ended_keeps_the_rows_and_says_so(number, to_all, tmp_
     done = len(pd.read_csv(out))
     assert f"{done} runs, seed 1" in output
     assert done > 20
+    made_by = json.loads(out.with_name("t_made_by.json").read_text())
+    assert (made_by["written"], made_by["runs"]) == (done, 50000)
 
 
 def child_processes(pid):
@@ -890,6 +892,20 @@ def test_a_killed_sweep_continues_to_the_same_table(kept, tmp_path, capsys):
     journal.write_bytes(b"".join(lines))
     assert main([*arguments, "--seed=2", "--resume"]) == 2
     assert "is of another study: vary must be the same" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_a_table_of_the_first_runs_is_not_complete(suffix, tmp_path):
+    """Ctrl-C has ended the sweep, and its journal has not been copied with it."""
+    table = capture_sim.sweep("tilt_0", {"buffer.c_A": [5, 6, 7]}, ["run.t_end=0.2"], executor=HERE)
+    about = {"scene": load_scene("tilt_0").to_yaml(), "runs": 3, "seed": 1}
+    path = tmp_path / f"a.{suffix}"
+    for count in (2, 3):
+        part = table[:count]
+        part.attrs = table.attrs
+        write_sweep(part, path, about)
+        assert is_complete(path, about) is (count == 3)
+    assert not is_complete(path, about | {"seed": 2})
 
 
 def test_a_sweep_without_one_good_run_fails(tmp_path):
