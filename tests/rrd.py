@@ -34,7 +34,7 @@ def column(found, path, ending, timeline="sim_time"):
     return np.array(times)[order], np.array(values)[order]
 
 
-def seen(address, path, check, timeout=120.0):
+def seen(address, path, check, timeout=600.0):
     """Connect to a server as a viewer does, until what has come, by entity, passes a check."""
     command = [str(program()), address, "--save", str(path)]
     command += ["--bind", "127.0.0.1", "--port", str(free_port())]
@@ -50,4 +50,4 @@ def seen(address, path, check, timeout=120.0):
                     raise
     finally:
         viewer.send_signal(signal.SIGINT)
-        viewer.wait(60)
+        viewer.wait(600)

@@ -61,7 +61,7 @@ class Started:
     def status(self):
         """Wait for the end and return the exit status."""
         wait_until(lambda: not self.is_alive, lambda: f"does not end:\n{self.text}", self._progress)
-        self.reader.join(5.0)
+        self.reader.join(60.0)
         return self.process.returncode
 
     def _progress(self):

@@ -38,7 +38,7 @@ from capture_sim.recording.offline import write_run
 from capture_sim.recording.read import read_run, run_of
 from capture_sim.run.run import detect
 from capture_sim.scene.parts import Detector
-from tests.nodes.bench_client import PATIENCE, Client, wait_until
+from tests.nodes.bench_client import LONGEST, Client, wait_until
 from tests.nodes.own_domain import participant
 
 #: The contact comes after 1.4 s, in place of 4.
@@ -201,11 +201,11 @@ def test_changes_of_state_are_kept_for_a_busy_subscriber(make_bench):
         sender.send(CAPTURE_VERDICT, sender.messages.serialise(message))
 
     send(0)
-    assert reader.wait(lambda: came, PATIENCE)
-    assert sender.wait(lambda: sender.topic_publishers.matched(CAPTURE_VERDICT), PATIENCE)
+    assert reader.wait(lambda: came, LONGEST)
+    assert sender.wait(lambda: sender.topic_publishers.matched(CAPTURE_VERDICT), LONGEST)
     for state in (1, 2, 3):
         send(state)
-    assert reader.wait(lambda: len(came) == 4, PATIENCE)
+    assert reader.wait(lambda: len(came) == 4, LONGEST)
     assert came == [0, 1, 2, 3]
 
 
@@ -219,9 +219,9 @@ def test_poses_alone_are_judged_by_a_scene_given_at_the_start(start, make_bench)
     bench = make_bench("real_bench", topics)
     statuses = []
     bench.listen(CAPTURE_STATUS, statuses.append)
-    assert bench.wait(lambda: all(bench.topic_publishers.matched(t) for t in topics), PATIENCE)
+    assert bench.wait(lambda: all(bench.topic_publishers.matched(t) for t in topics), LONGEST)
     measure(bench, measured)
-    assert bench.wait(lambda: statuses and statuses[-1].final, PATIENCE)
+    assert bench.wait(lambda: statuses and statuses[-1].final, LONGEST)
     assert statuses[-1].state == CaptureState.REBOUND
     assert statuses[-1].reason.startswith("retreated 20 mm from ")
     assert node.end() == 0

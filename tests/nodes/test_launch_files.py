@@ -31,7 +31,7 @@ def launched(file, *arguments):
         [sys.executable, "-c", PROGRAM, str(FILES / file), *arguments],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
     )
 
 

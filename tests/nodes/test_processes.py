@@ -254,7 +254,7 @@ def test_own_detector_of_the_page_misses_no_sample(start):
     try:
         simulator = start("simulator", wait_for="[own_detector]", rtf=0.0)
         assert simulator.status() == 0, simulator.text
-        text = detector.communicate(timeout=60.0)[0]
+        text = detector.communicate(timeout=300.0)[0]
     finally:
         detector.kill()
     samples = simulate(load_scene("tilt_0")).samples
@@ -290,7 +290,7 @@ def test_a_driver_holds_when_the_launcher_is_killed(start):
 
 def test_help_shows_the_parameters_and_starts_nothing():
     command = [sys.executable, "-m", "capture_sim.nodes.simulator", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0
     for word in ("usage: simulator", 'initial_state: "playing"', "ros2 param describe /simulator"):
         assert word in done.stdout

@@ -197,16 +197,16 @@ def test_server_ends_with_a_viewer_that_is_killed():
         "import sys, time\n"
         "from capture_sim.viewing.rerun_server import RecordingServer\n"
         f"print(RecordingServer({free_port()}, 8).pid, flush=True)\n"
-        "time.sleep(60)\n"
+        "time.sleep(900)\n"
     )
     owner = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     server = Path("/proc", owner.stdout.readline().strip(), "cmdline")
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + 300.0
     while "--serve-grpc" not in server.read_text() or "pdeathsig" in server.read_text():
         assert time.monotonic() < deadline
         time.sleep(0.05)
     owner.kill()
     owner.wait()
     while server.exists() and server.read_text():
-        assert time.monotonic() < deadline + 10.0, "the server still runs"
+        assert time.monotonic() < deadline + 300.0, "the server still runs"
         time.sleep(0.05)
