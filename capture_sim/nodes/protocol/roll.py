@@ -7,8 +7,8 @@ directions: B knows all subscriptions of A, and A knows all publishers of B.  A 
 is ready once it has a part from each participant.  The first message of a run is sent when all
 participants are ready, so none of them misses it.  Both waits have a time limit.
 
-A part also names the nodes that its sender has heard.  Before a node announces a run it waits until
-it has heard all of them, so it overlooks no node that another one knows.
+A part also names the nodes that its sender has heard.  Before a node announces a run it waits, at
+most HEARING_TIMEOUT, until it has heard all of them: it is not to overlook one that another knows.
 
 The node that announces a run waits for nodes, sends RunInfo, waits until all participants are
 ready, and sends the messages.  It then ends the run: a simulator by its StreamCounts, a trial by a
@@ -40,7 +40,8 @@ from capture_sim.messages.topics import ROLL, RunSource, topics_of
 from capture_sim.nodes.base.endpoints import message_class
 from capture_sim.nodes.base.node import POLL, BenchNode
 
-#: Longest wait for the first part of a node that has just joined the roll, s (wall).
+#: Longest wait for the first part of a node that has just joined the roll, or of one that another
+#: node has heard, s (wall): that one may have been killed.
 HEARING_TIMEOUT = 2.0
 #: A node has normally closed its file within this time after the end of a run, s (wall).
 FREE_TIMEOUT = 8.0
