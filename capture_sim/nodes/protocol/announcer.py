@@ -290,8 +290,8 @@ class Announcer:
         """Wait until other nodes can have been discovered since this node's start.
 
         The wait lasts :data:`DISCOVERY_TIME` after the start.  If ``wait_for`` is empty, it lasts
-        until another node has been heard as well, :data:`ALONE_TIME` at most.  Those that this one
-        has heard are waited for in :meth:`Roll.await_heard`.
+        until another node has been heard as well, :data:`ALONE_TIME` at most.  After it,
+        :meth:`Roll.await_heard` waits for the nodes that this one has heard.
         """
 
         def age() -> float:

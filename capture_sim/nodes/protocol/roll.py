@@ -7,8 +7,9 @@ directions: B knows all subscriptions of A, and A knows all publishers of B.  A 
 is ready once it has a part from each participant.  The first message of a run is sent when all
 participants are ready, so none of them misses it.  Both waits have a time limit.
 
-A part also names the nodes that its sender has heard.  Before a node announces a run it waits, at
-most HEARING_TIMEOUT, until it has heard all of them: it is not to overlook one that another knows.
+A part also lists the nodes that its sender has heard.  Before a node announces a run, it waits at
+most HEARING_TIMEOUT until it has heard all listed nodes.  It waits for each of them only once,
+because a listed node may have been killed.
 
 The node that announces a run waits for nodes, sends RunInfo, waits until all participants are
 ready, and sends the messages.  It then ends the run: a simulator by its StreamCounts, a trial by a
@@ -40,8 +41,7 @@ from capture_sim.messages.topics import ROLL, RunSource, topics_of
 from capture_sim.nodes.base.endpoints import message_class
 from capture_sim.nodes.base.node import POLL, BenchNode
 
-#: Longest wait for the first part of a node that has just joined the roll, or of one that another
-#: node has heard, s (wall): that one may have been killed.
+#: Longest wait for the first part of a node that DDS or another node reports, s (wall).
 HEARING_TIMEOUT = 2.0
 #: A node has normally closed its file within this time after the end of a run, s (wall).
 FREE_TIMEOUT = 8.0
@@ -160,6 +160,7 @@ class Roll:
         self._on_part = on_part
         self._is_listed = is_listed
         self._seen: set[str] = set()  # participants that have been there
+        self._given_up: set[str] = set()  # participants that only other nodes have heard
         self._present: Counter[str] = Counter()  # publishers of the roll, by node
         self._looked = -1.0
         self._own: Any = None  # message of this node's part
@@ -312,15 +313,17 @@ class Roll:
     def await_heard(self) -> None:
         """Wait until all nodes of the roll are heard, at most HEARING_TIMEOUT.
 
-        These are the nodes that DDS reports, and those that another node has heard.
+        These are the nodes that DDS reports, and those that another node has heard.  A node of the
+        second kind that is not heard in this time is not waited for again.
         """
         own = Counter([self._node.get_fully_qualified_name()] * self._is_listed)
 
         def all_heard() -> bool:
             here = Counter(part.node for part in self.parts.values())
-            return not self._nodes() - own - here and not self._known_to_others()
+            return not self._nodes() - own - here and not self._unheard()
 
-        self._node.wait(all_heard, HEARING_TIMEOUT)
+        if not self._node.wait(all_heard, HEARING_TIMEOUT):
+            self._given_up |= self._unheard()
 
     def report_ignored(self, info: Any, reason: str) -> None:
         """Log that this node ignores an announced run, and why, once for each announcer.
@@ -362,13 +365,14 @@ class Roll:
         """
         return self.is_there(participant) or participant not in self._seen
 
-    def _known_to_others(self) -> set[str]:
-        """Return the ids of nodes that others have heard and this node has not.
+    def _unheard(self) -> set[str]:
+        """Return the ids of nodes that other nodes have heard and this node has not.
 
-        A node of this node's own name is the one that this node replaces.
+        It contains no node of this node's own name, which this node replaces.
         """
         heard = {id_ for p in self.parts.values() if self.may_be_there(p.id) for id_ in p.heard}
-        return {id_ for id_ in heard - set(self.parts) if node_of(id_) != node_of(self.id)}
+        unheard = heard - set(self.parts) - self._given_up
+        return {id_ for id_ in unheard if node_of(id_) != node_of(self.id)}
 
     def _send(self) -> None:
         """Publish this node's part, if it is listed, with the nodes that it has heard by now."""
@@ -413,4 +417,4 @@ class Roll:
             self._node.get_logger().info(f"{part.node}: heard again")
         self._on_part(part)
         if is_new:
-            self._send()  # a node that starts now is told of it at once
+            self._send()  # for a node that starts before the next repetition
