@@ -178,9 +178,9 @@ def part_costs(
         progress.at("cost of parts", number, len(cases), part)
         scenes = load_scene(name, changes), load_scene(name, base)
         counts = [_counts(scene, t_end) for scene in scenes]
-        run = in_pairs(*(integration(scene, t_end) for scene in scenes), pairs)
+        run = in_pairs(*(integration(scene, t_end) for scene in scenes), pairs=pairs)
         free, contact = (
-            in_pairs(*(evaluation(scene, touching) for scene in scenes), pairs)
+            in_pairs(*(evaluation(scene, touching) for scene in scenes), pairs=pairs)
             for touching in (False, True)
         )
         touches, evaluations = zip(*counts, strict=True)

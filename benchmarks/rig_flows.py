@@ -14,6 +14,7 @@ import sys
 from argparse import Namespace
 from contextlib import redirect_stdout
 from pathlib import Path
+from typing import Any
 
 from benchmarks.pages import table, write_parts
 from capture_sim.cli import main
@@ -26,7 +27,7 @@ from rig_session import POSES, Session
 ODOMETRY = {"chaser/odom": "/mocap/rb1/odom", "target/odom": "/mocap/rb2/odom"}
 OUTCOMES = ("captured", "rebound", "missed")
 #: Benches by their name in the table: the topics of the poses, remappings, parameters.
-BENCHES = {
+BENCHES: dict[str, dict[str, Any]] = {
     "clean": {},
     "standard": {"preset": "standard"},
     "hard": {"preset": "hard"},

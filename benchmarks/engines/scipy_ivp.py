@@ -185,8 +185,7 @@ def _gap_event(
             raise TookTooLongError
         return problem.gap(y, wall)[0] - zero
 
-    event.terminal = True
-    event.direction = 1.0 if touching else -1.0
+    vars(event).update(terminal=True, direction=1.0 if touching else -1.0)  # read by SciPy
     return event
 
 
