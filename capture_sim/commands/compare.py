@@ -19,11 +19,10 @@ from capture_sim.commands.inputs import (
     add_remaps,
     folder_beside,
     not_negative,
-    open_or_simulate,
-    open_run,
     prepare_folder,
 )
 from capture_sim.commands.output import command_line, drawing, echo, give, warn
+from capture_sim.commands.recordings import Reading
 from capture_sim.errors import RecordingError
 from capture_sim.run.loads import if_measured
 from capture_sim.run.run import Run
@@ -134,16 +133,7 @@ def run(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace, shown: Sequence[str | Section]) -> int:
     """Compare two runs and return the exit status; ``shown`` is what has been printed so far."""
     sources = [options.a, *filter(None, [options.b])]
-    runs = [
-        open_or_simulate(
-            source,
-            options.remaps,
-            scene=options.scene,
-            release=options.release,
-            waived=options.waived,
-        )
-        for source in sources
-    ]
+    runs = list(map(Reading.of(options).run_or_scene, sources))
     labels = [f"{letter} {source}" for letter, source in zip("AB", sources, strict=False)]
     status, is_identical = OK, None
     if options.simulated:
@@ -229,13 +219,7 @@ def _with_calibration(options: argparse.Namespace) -> int:
         raise RecordingError("--calibrated: must be given with one recording A alone")
     calibrated = read_calibrated(options.calibrated)
     placement = read_placement(options.placement or PLACEMENT)
-    run = open_run(
-        options.a,
-        options.remaps,
-        scene=options.scene,
-        release=options.release,
-        waived=options.waived,
-    )
+    run = Reading.of(options).run(options.a)
     for finding in calibrated.findings:
         warn(f"{calibrated.path}: {calibrated.verdict}: {finding}")
     compile_first()

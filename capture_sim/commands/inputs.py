@@ -14,18 +14,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from capture_sim.base.files import writing_problem
-from capture_sim.commands.output import echo, warn
+from capture_sim.commands.output import warn
 from capture_sim.errors import RecordingError, SceneError
 from capture_sim.scene.files import MAX_TEXT, parse, scene_names
 from capture_sim.scene.loading import load_scene, load_scene_text
 from capture_sim.scene.parts import Scene
 from capture_sim.scene.quantities import NOT_NEGATIVE, POSITIVE, Range
 from capture_sim.scene.units import comma_hint, in_si, split
-from capture_sim.viewing.source import distinct_names
 
 if TYPE_CHECKING:
     from capture_sim.recording.bag import Bag
-    from capture_sim.run.run import Run
 
 Read = TypeVar("Read")
 Number = TypeVar("Number", int, float)
@@ -438,7 +436,7 @@ def load(source: str, overrides: Sequence[str] = ()) -> Scene:
     from capture_sim.recording.bag import read_bag
 
     bag = read_bag(source)
-    _refuse_several_runs(bag)
+    refuse_several_runs(bag)
     return load_scene_text(bag.scene_text, overrides)
 
 
@@ -464,121 +462,18 @@ def prepare_folder(folder: Path) -> None:
         raise RecordingError(f"--out {folder}: cannot be written: {reason}; must be a folder")
 
 
-def open_bag(
-    path: str, remaps: Sequence[str], *, release: float | None = None, several: bool = False
-) -> Bag:
-    """Read a recording and print its problems.
-
-    Parameters
-    ----------
-    path
-        File, or folder of a bag.
-    remaps
-        From :func:`add_remaps`.
-    release
-        From :func:`add_release`.
-    several
-        True if the recording may contain several runs.
-
-    Raises
-    ------
-    RecordingError
-        The recording cannot be read, or it contains several runs and ``several`` is False.
-    """
-    from capture_sim.recording.bag import read_bag, remap_of
-
-    bag = read_bag(path, remaps=dict(map(remap_of, remaps)), release=release)
-    if not several:
-        _refuse_several_runs(bag)
-    for problem in (*bag.left_out, *bag.problems):
-        warn(f"{path}: {problem}")
-    return bag
-
-
-def open_run(
-    path: str,
-    remaps: Sequence[str] = (),
-    *,
-    scene: str | None = None,
-    overrides: Sequence[str] = (),
-    release: float | None = None,
-    waived: Sequence[str] = (),
-) -> Run:
-    """Read a recorded run, check its plausibility, and print its problems.
-
-    Parameters
-    ----------
-    path
-        File, or folder of a bag.
-    remaps
-        From :func:`add_remaps`.
-    scene
-        Scene from :func:`add_geometry`, which replaces the recorded scene; None to keep that.
-    overrides
-        Changes to the scene, as texts PART.FIELD=VALUE.
-    release
-        From :func:`add_release`.
-    waived
-        Names of plausibility rules that are not checked.
-
-    Returns
-    -------
-    Run
-        The run without the series that a broken rule excludes.
-
-    Raises
-    ------
-    RecordingError
-        The recording cannot be read or contains several runs, or the run breaks a rule of
-        grade *refused*.
-    SceneError
-        The scene or a change to it is invalid, or a name in ``waived`` is not a rule.
-    """
-    from capture_sim.recording.read import run_of
-
-    bag = open_bag(path, remaps, release=release)
-    if scene is not None:
-        run = run_of(bag, load_scene(scene, overrides))
-    elif overrides and bag.has_scene:
-        run = run_of(bag, load_scene_text(bag.scene_text, overrides))
-    else:
-        run = run_of(bag)
-    return _checked(run, path, waived, judges=True)
-
-
-def _checked(run: Run, path: str, waived: Sequence[str], *, judges: bool) -> Run:
-    """Return a run without the series that broken plausibility rules exclude.
-
-    A line is printed for each broken rule and topic, and one for the rules that the trial has
-    waived.  With ``judges``, RecordingError is raised if a rule of grade *refused* is broken.
-    """
-    from capture_sim.plausibility.rules import Grade
-    from capture_sim.run.doubts import refuse, remaining
-
-    if run.waived:
-        warn(f"{path}: rules not checked, as the trial has waived them: {', '.join(run.waived)}")
-    run = run.replaced(waived=(*run.waived, *waived))
-    if judges:
-        refuse(path, run.doubts)
-    for doubt in run.doubts:
-        warn(f"{path}: {doubt.line}")
-    if any(doubt.grade is Grade.REFUSED for doubt in run.doubts):
-        warn(f"{path}: no verdict, as a rule of grade refused is broken")
-    return run.replaced(series=remaining(run.series, run.doubts))
-
-
-def _refuse_several_runs(bag: Bag) -> None:
+def refuse_several_runs(bag: Bag) -> None:
     """Raise RecordingError if a recording contains several runs; the error names its files."""
     if len(bag.run_ids) < 2:
         return
-    files = _recordings_in(bag.path)
+    files = recordings_in(bag.path)
     choice = "must be one run" + (
         f", one of {', '.join(map(str, files))}" if len(files) > 1 else ""
     )
     raise RecordingError(f"{bag.path}: contains {len(bag.run_ids)} runs: {choice}")
 
 
-def _recordings_in(folder: Path) -> list[Path]:
+def recordings_in(folder: Path) -> list[Path]:
     """Return the recorded files in a folder without ``metadata.yaml``; otherwise, an empty list.
 
     Such a folder may contain several recordings; with ``metadata.yaml`` it is a single bag.
@@ -588,165 +483,3 @@ def _recordings_in(folder: Path) -> list[Path]:
     if not folder.is_dir() or (folder / FILE_NAME).is_file():
         return []
     return list(bag_files(folder).files)
-
-
-def _one_run_each(source: str) -> list[str]:
-    """Return the paths of the files of a folder with several recorded runs.
-
-    For any other source, a recording or a scene, the list contains only this source.
-    """
-    from capture_sim.recording.bag import read_bag
-
-    files = _recordings_in(Path(source)) if is_recording(source) else []
-    if len(files) > 1 and len(read_bag(source).run_ids) > 1:
-        return list(map(str, files))
-    return [source]
-
-
-def open_or_simulate(
-    source: str,
-    remaps: Sequence[str] = (),
-    *,
-    scene: str | None = None,
-    release: float | None = None,
-    waived: Sequence[str] = (),
-    judges: bool = True,
-) -> Run:
-    """Open a recording and print its problems, or simulate a scene.
-
-    Parameters
-    ----------
-    source
-        MCAP file, folder of a bag, or scene.
-    remaps
-        From :func:`add_remaps`.
-    scene
-        Scene from :func:`add_geometry`.  It is used unless the recording contains both a scene and
-        exact samples.
-    release
-        From :func:`add_release`.
-    waived
-        Names of plausibility rules that are not checked.
-    judges
-        True to raise an error if the run breaks a rule of grade *refused*; False for a run that is
-        drawn but not evaluated.
-    """
-    if not is_recording(source):
-        return _simulated(source)
-    from capture_sim.recording.read import run_of
-
-    run = run_of(open_bag(source, remaps, release=release))
-    if scene is not None and not (run.is_exact and run.given.scene):
-        run = run.replaced(scene=load_scene(scene))
-    return _checked(run, source, waived, judges=judges)
-
-
-def open_runs(
-    sources: Sequence[str],
-    scene: str | None,
-    release: float | None = None,
-    remaps: Sequence[str] = (),
-    waived: Sequence[str] = (),
-) -> list[Run]:
-    """Open recordings and print their problems, or simulate scenes.
-
-    All runs get different names; a recorded run is named after its file or folder.  If a run was
-    recorded repeatedly with bit-identical samples (``tilt_0.mcap``, ``tilt_0_2.mcap``), only the
-    newest recording is returned.  A folder with several recorded runs gives a run for each file.
-
-    Parameters
-    ----------
-    sources
-        MCAP files, folders of bags, or scenes.
-    scene
-        Scene for recordings that lack a scene or exact samples; None to use recorded scenes only.
-    release
-        Release time on a real bench, s after the first pose; None to take it from the bag.
-    remaps
-        From :func:`add_remaps`.
-    waived
-        Names of plausibility rules that are not checked.
-
-    Raises
-    ------
-    RecordingError
-        A file cannot be read or contains several runs.
-    SceneError
-        A scene does not exist or is invalid, or a name in ``waived`` is not a rule.
-    """
-    if scene is not None:
-        load_scene(scene)  # also where every recording contains its own
-    sources = [file for source in sources for file in _one_run_each(source)]
-    runs = [_opened(source, scene, release, remaps, waived) for source in sources]
-    kept = _without_repetitions(runs, sources)
-    runs, sources = [runs[k] for k in kept], [sources[k] for k in kept]
-    names = _distinct_names(runs, sources)
-    return [run.replaced(name=name) for run, name in zip(runs, names, strict=True)]
-
-
-def _without_repetitions(runs: Sequence[Run], sources: Sequence[str]) -> list[int]:
-    """Return the indices of the runs, without runs that a newer file repeats bit by bit.
-
-    Only files in one folder whose names differ by a final number are compared.  A second
-    ``make run`` records every run again, and ``view runs/*.mcap`` would draw each of them twice.
-    """
-    newest: dict[object, int] = {}
-    for k, (run, source) in enumerate(zip(runs, sources, strict=True)):
-        path = Path(source).resolve()
-        key: object = k
-        if run.is_exact and path.suffix == ".mcap" and path.is_file():
-            key = path.parent, re.sub(r"_\d+$", "", path.stem), run.samples.tobytes()
-        other = newest.setdefault(key, k)
-        if other != k:
-            old, new = sorted((other, k), key=lambda i: Path(sources[i]).stat().st_mtime_ns)
-            echo(f"{sources[old]}: left out, as {sources[new]} is newer and bit-identical")
-            newest[key] = new
-    return sorted(newest.values())
-
-
-def _distinct_names(runs: Sequence[Run], sources: Sequence[str]) -> list[str]:
-    """Return a different name for each run.
-
-    If recordings in two folders have the same name, the name of the folder is put in front.
-    """
-    folders: dict[str, set[Path]] = {}
-    for run, source in zip(runs, sources, strict=True):
-        if is_recording(source):
-            folders.setdefault(run.name, set()).add(Path(source).resolve().parent)
-    return distinct_names(
-        [
-            f"{Path(source).resolve().parent.name}-{run.name}"
-            if is_recording(source) and len(folders[run.name]) > 1
-            else run.name
-            for run, source in zip(runs, sources, strict=True)
-        ]
-    )
-
-
-def _opened(
-    source: str,
-    scene: str | None,
-    release: float | None,
-    remaps: Sequence[str],
-    waived: Sequence[str],
-) -> Run:
-    run = open_or_simulate(
-        source, remaps, scene=scene, release=release, waived=waived, judges=False
-    )
-    if not is_recording(source):
-        return run
-    from capture_sim.recording.bag_folder import stem_of
-
-    return run.replaced(name=stem_of(Path(source).resolve()))  # the path may be . or end in ..
-
-
-def _simulated(name: str) -> Run:
-    from capture_sim.commands.compiling import compile_first
-    from capture_sim.run.simulation import simulate
-
-    try:
-        scene = load_scene(name)
-    except SceneError as error:
-        raise SceneError(f"{error}; a recording ends in .mcap or is the folder of a bag") from None
-    compile_first()
-    return simulate(scene)

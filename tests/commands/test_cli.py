@@ -149,7 +149,7 @@ def test_scenes_and_show(capsys):
         (["run", "tilt_0", "paper_undamped"], "run.simulate", "only the recordings named above"),
         (["run", "paper_undamped"], "results_folder.draw", "named above are complete, other plots"),
         (["report", "tilt_0", "--out", "x.html"], "report.save_report", "x.html is not written"),
-        (["view", "tilt_0"], "view.open_runs", "nothing is written"),
+        (["view", "tilt_0"], "view.plotted_runs", "nothing is written"),
         (["view", "paper_undamped"], "view.draw", "named above are complete, other plots"),
     ],
 )
