@@ -53,6 +53,9 @@ def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -
     made_by = {**origin, **about, "scene": origin["scene"], "scene_text": scene}
     made_by["written"] = len(table)
     units = table.attrs["units"]
+    description = _description_of(path)
+    # a kill before the end leaves no description of another table
+    description.unlink(missing_ok=True)
     with whole_file(path) as part:
         if path.suffix == ".parquet":
             table = table.copy(deep=False)
@@ -61,7 +64,7 @@ def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -
             return path
         heads = {name: head_of(name, unit) for name, unit in units.items()}
         table.rename(columns=heads).to_csv(part)
-    with whole_file(path.with_name(f"{path.stem}_made_by.json")) as part:
+    with whole_file(description) as part:
         part.write_text(json.dumps(made_by, indent=2) + "\n", encoding="utf-8")
     return path
 
@@ -76,8 +79,7 @@ def is_complete(path: Path, about: Mapping[str, Any]) -> bool:
             metadata = arrow()[1].read_schema(path).metadata
             made_by = json.loads(metadata[b"PANDAS_ATTRS"])["made_by"]
         else:
-            text = path.with_name(f"{path.stem}_made_by.json").read_text(encoding="utf-8")
-            made_by = json.loads(text)
+            made_by = json.loads(_description_of(path).read_text(encoding="utf-8"))
         wanted = {**about, "scene_text": about["scene"], "software": list(software_versions())}
         del wanted["scene"]
         if made_by.get("written", about["runs"]) != about["runs"]:
@@ -87,6 +89,11 @@ def is_complete(path: Path, about: Mapping[str, Any]) -> bool:
         }
     except (OSError, ValueError, AttributeError, LookupError, TypeError):
         return False
+
+
+def _description_of(path: Path) -> Path:
+    """Return the path of what made a CSV table."""
+    return path.with_name(f"{path.stem}_made_by.json")
 
 
 def head_of(name: str, unit: str) -> str:

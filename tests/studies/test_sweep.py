@@ -22,6 +22,7 @@ from scipy import stats
 
 import capture_sim
 from capture_sim import SceneError, load_scene, simulate
+from capture_sim.base.files import whole_file
 from capture_sim.base.journal import Journal
 from capture_sim.cli import main
 from capture_sim.dynamics.samples import EXTREMES, TOUCH, Extremes
@@ -906,6 +907,26 @@ def test_a_table_of_the_first_runs_is_not_complete(suffix, tmp_path):
         write_sweep(part, path, about)
         assert is_complete(path, about) is (count == 3)
     assert not is_complete(path, about | {"seed": 2})
+
+
+def test_a_kill_before_the_description_leaves_none_of_another_table(tmp_path, monkeypatch):
+    """Else `--resume` of the earlier sweep would take the new table for its own."""
+    table = capture_sim.sweep("tilt_0", {"buffer.c_A": [5, 6]}, ["run.t_end=0.2"], executor=HERE)
+    about = {"scene": load_scene("tilt_0").to_yaml(), "runs": 2, "seed": 1}
+    path, written = tmp_path / "a.csv", []
+
+    def killed_at_the_second(file):
+        written.append(file)
+        if len(written) == 2:
+            raise KeyboardInterrupt
+        return whole_file(file)
+
+    write_sweep(table, path, about)
+    monkeypatch.setattr("capture_sim.recording.sweep_file.whole_file", killed_at_the_second)
+    with pytest.raises(KeyboardInterrupt):
+        write_sweep(table, path, about | {"seed": 2})
+    assert written[0] == path
+    assert not is_complete(path, about)
 
 
 def test_a_sweep_without_one_good_run_fails(tmp_path):
