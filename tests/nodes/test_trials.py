@@ -210,8 +210,8 @@ def test_cameras_that_die_under_way_hold_the_chaser(start, client, tmp_path):
     with session.bench(camera_end=1.0, pace=1.0):
         status, result = session.goal(0.0).result()
         assert (status, session.let_go) == (ABORTED, 1)
-        silent = r"motion_capture/(chaser|target): last measurement 0\.5\d* s old"
-        assert re.match(silent, result.reason)
+        silent = r"motion_capture/(?:chaser|target): last measurement ([\d.]+) s old"
+        assert float(re.match(silent, result.reason)[1]) >= 0.5  # a busy launcher looks later
         assert session.holds[-1][1]
         session.launcher.wait_for("aborted: motion_capture")
         assert session.launcher.text.count("aborted: motion_capture") == 1
