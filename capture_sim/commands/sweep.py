@@ -637,11 +637,15 @@ def _print_worst(table: pandas.DataFrame, samples: Samples, options: argparse.Na
         shown = f"{row[load.key] * load.factor:.4g} {load.shown_in}, {labels[number]}"
         if row.get("exceeded"):
             shown += f", exceeds {row['exceeded']}"
-        words = shlex.split(row["command"])
-        for place, word in enumerate(words):
-            name, sign, value = word.partition("=")
-            with suppress(ValueError):
-                is_whole = value.lstrip("-").isdigit()  # a seed has more digits
-                if sign and not is_whole and name in {axis.name for axis in samples.axes}:
-                    words[place] = f"{name}={_in_typed_unit(samples, name, float(value), 9)}"
+        words = [_rounded(word, samples) for word in shlex.split(row["command"])]
         echo(f"{number}: {shown}: {shlex.join(words)}")
+
+
+def _rounded(word: str, samples: Samples) -> str:
+    """Return NAME=VALUE with nine digits in the unit of the user if it is a varied number."""
+    name, _, value = word.partition("=")
+    is_whole = value.lstrip("-").isdigit()  # a seed has more digits
+    with suppress(ValueError):
+        if not is_whole and name in {axis.name for axis in samples.axes}:
+            return f"{name}={_in_typed_unit(samples, name, float(value), 9)}"
+    return word

@@ -330,16 +330,7 @@ def _stage_fit(
     no start can be simulated.  ``is_after``: the fit goes beyond the first contact.
     """
     best: _Stage | None = None
-    starts = [stage.place]
-    if stage.covariance is not None and spare > 0:
-        values, vectors = np.linalg.eigh(stage.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        low, high = part.limits
-        starts += [
-            np.clip(stage.place + root @ rng.standard_normal(values.size), low, high)
-            for _ in range(_DRAWS)
-        ]
-    for place in starts:
+    for place in [stage.place, *(_drawn_near(stage, part, rng) if spare > 0 else [])]:
         search = descend(
             part,
             place,
@@ -351,18 +342,25 @@ def _stage_fit(
         )
         if search is None:
             continue
-        at = search.linear
-        ended = _Stage(at.place, step_covariance(at, part), at.chi2, part.rows, at)
-        if best is None:
-            best = ended
-        else:
-            left = min(best.chi2, ended.chi2) - stage.chi2 - (part.rows - stage.rows)
-            is_same = abs(ended.chi2 - best.chi2) < _SAME * left
-            best = min(best, ended, key=lambda each: each.chi2)
-            best.is_found_again = is_same
+        at, before = search.linear, best
+        best = ended = _Stage(at.place, step_covariance(at, part), at.chi2, part.rows, at)
+        if before is not None:
+            best = min(before, ended, key=lambda each: each.chi2)
+            unexplained = best.chi2 - stage.chi2 - (part.rows - stage.rows)
+            best.is_found_again = abs(ended.chi2 - before.chi2) < _SAME * unexplained
         if best.is_found_again or best.is_explained_since(stage):
             break
     return best
+
+
+def _drawn_near(stage: _Stage, part: Problem, rng: np.random.Generator) -> list[np.ndarray]:
+    """Return places drawn from the errors of a fit; none if these are not known."""
+    if stage.covariance is None:
+        return []
+    values, vectors = np.linalg.eigh(stage.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    off = [root @ rng.standard_normal(values.size) for _ in range(_DRAWS)]
+    return [np.clip(stage.place + each, *part.limits) for each in off]
 
 
 def _is_enough(trial: FittedTrial, end: float) -> bool:
