@@ -17,7 +17,7 @@ from pathlib import Path
 from benchmarks.node_suite import Suite
 from benchmarks.pages import Spread, repeated, table, write_parts
 from capture_sim import load_scene, simulate
-from capture_sim.commands.recordings import Reading
+from capture_sim.commands.recordings import RecordingReader
 from capture_sim.viewing.canvas import save
 from capture_sim.viewing.plots import draw_overview, draw_run
 from capture_sim.viewing.report import save_report
@@ -33,7 +33,7 @@ def files(_: Namespace, folder: Path) -> list[str]:
     long = [simulate(load_scene(name, ["run.after_latch=null"])) for name in NAMES]
     assert all(len(run.samples) == 20_001 for run in long)
     short = [simulate(load_scene(name)) for name in NAMES]
-    opened = Reading().runs(NAMES)
+    opened = RecordingReader().runs(NAMES)
     rows = []
     for what, make, path in (
         ("`.rrd` of three runs of 20 s at 1 kHz", lambda p: save_rrd(long, p), folder / "a.rrd"),

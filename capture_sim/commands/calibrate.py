@@ -35,7 +35,7 @@ from capture_sim.commands.output import (
     give,
     write_json,
 )
-from capture_sim.commands.recordings import Reading
+from capture_sim.commands.recordings import RecordingReader
 from capture_sim.errors import SceneError
 from capture_sim.recording.bag_folder import sha256_of
 from capture_sim.run.run import Run
@@ -182,7 +182,7 @@ def run(options: argparse.Namespace) -> int:
     if options.fit is not None:
         names = [name for text in options.fit for name in text.split(",") if name]
     to_come = _to_predict(options)
-    runs = list(map(Reading.of(options).run, options.trials))
+    runs = list(map(RecordingReader.of(options).run, options.trials))
     # now: a fit takes minutes, and by its end a recording may have been moved
     hashes = {run.origin.path: sha256_of(Path(run.origin.path)) for run in runs}
     weighed = _weighed(runs[0].scene, options.weighed)
@@ -224,7 +224,7 @@ def _to_predict(options: argparse.Namespace) -> Scene | None:
     if not options.predict:
         return None
     if is_recording(options.predict):
-        return launched(Reading(options.remaps, scene=options.scene).run(options.predict))
+        return launched(RecordingReader(options.remaps, scene=options.scene).run(options.predict))
     return load_scene(options.predict)
 
 

@@ -22,7 +22,7 @@ from capture_sim.commands.inputs import (
     prepare_folder,
 )
 from capture_sim.commands.output import command_line, drawing, echo, give, warn
-from capture_sim.commands.recordings import Reading
+from capture_sim.commands.recordings import RecordingReader
 from capture_sim.errors import RecordingError
 from capture_sim.run.loads import if_measured
 from capture_sim.run.run import Run
@@ -133,7 +133,7 @@ def run(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace, shown: Sequence[str | Section]) -> int:
     """Compare two runs and return the exit status; ``shown`` is what has been printed so far."""
     sources = [options.a, *filter(None, [options.b])]
-    runs = list(map(Reading.of(options).run_or_scene, sources))
+    runs = list(map(RecordingReader.of(options).run_or_scene, sources))
     labels = [f"{letter} {source}" for letter, source in zip("AB", sources, strict=False)]
     status, is_identical = OK, None
     if options.simulated:
@@ -219,7 +219,7 @@ def _with_calibration(options: argparse.Namespace) -> int:
         raise RecordingError("--calibrated: must be given with one recording A alone")
     calibrated = read_calibrated(options.calibrated)
     placement = read_placement(options.placement or PLACEMENT)
-    run = Reading.of(options).run(options.a)
+    run = RecordingReader.of(options).run(options.a)
     for finding in calibrated.findings:
         warn(f"{calibrated.path}: {calibrated.verdict}: {finding}")
     compile_first()

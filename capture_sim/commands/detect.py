@@ -11,7 +11,7 @@ from typing import NamedTuple
 from capture_sim.base.exit_status import BAD_INPUT, FAILED, OK
 from capture_sim.commands.inputs import add_geometry, add_remaps, prepare_folder
 from capture_sim.commands.output import echo, give, warn
-from capture_sim.commands.recordings import Reading
+from capture_sim.commands.recordings import RecordingReader
 from capture_sim.commands.results_folder import ResultsFolder
 from capture_sim.detection.criteria import CaptureStatus
 from capture_sim.detection.nearest import in_words
@@ -105,7 +105,7 @@ class _Judged(NamedTuple):
 
 def _judged(path: str, changed: set[str], options: argparse.Namespace) -> _Judged:
     """Read and evaluate a recording; the criteria are the recorded ones, less ``changed``."""
-    run = Reading.of(options).run(path)
+    run = RecordingReader.of(options).run(path)
     scene = with_criteria(run.scene, run.given.criteria, changed)
     statuses = detect(run, scene)
     recorded = run.statuses[-1] if run.given.statuses else None

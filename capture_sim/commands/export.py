@@ -8,7 +8,7 @@ from pathlib import Path
 from capture_sim.base.exit_status import OK
 from capture_sim.commands.inputs import add_remaps, prepare_folder
 from capture_sim.commands.output import echo, warn
-from capture_sim.commands.recordings import Reading
+from capture_sim.commands.recordings import RecordingReader
 from capture_sim.errors import RecordingError
 from capture_sim.recording.export import KINDS, readable, save_tables, tables_of
 
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return its exit status."""
-    bag = Reading.of(options).bag(options.recording, several=True)
+    bag = RecordingReader.of(options).bag(options.recording, several=True)
     tables, problems = readable(tables_of(bag))
     for problem in problems:
         warn(problem)

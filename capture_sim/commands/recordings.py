@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Reading:
+class RecordingReader:
     """How a command reads recordings; the defaults are those without an option.
 
     Each call prints the recording's problems, and raises RecordingError if it cannot be read or
@@ -39,7 +39,7 @@ class Reading:
     waived: Sequence[str] = ()  # names of the plausibility rules that are not checked
 
     @classmethod
-    def of(cls, options: argparse.Namespace) -> Reading:
+    def of(cls, options: argparse.Namespace) -> RecordingReader:
         """Return what the options of a command say; a command may lack some of them."""
         given = {each.name for each in fields(cls)} & set(vars(options))
         return cls(**{name: getattr(options, name) for name in given})

@@ -9,7 +9,7 @@ from pathlib import Path
 from capture_sim.base.exit_status import OK
 from capture_sim.commands.inputs import add_runs, folder_beside, prepare_folder
 from capture_sim.commands.output import Progress, echo, reported_if_interrupted
-from capture_sim.commands.recordings import Reading
+from capture_sim.commands.recordings import RecordingReader
 
 DESCRIPTION = (
     "Write one self-contained HTML page about runs: results, plots, energy, errors, parameters. "
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
     page = out / "report.html" if out.is_dir() or not out.suffix else out
     prepare_folder(page.parent)
     with reported_if_interrupted(f"{page} is not written"):
-        runs = Reading.of(options).runs(options.runs)
+        runs = RecordingReader.of(options).runs(options.runs)
         with Progress("steps") as progress:
             saved = save_report(runs, page, partial(progress.at, "report"))
     echo(f"report in {saved}")

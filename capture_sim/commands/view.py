@@ -19,7 +19,7 @@ from capture_sim.commands.output import (
     echo,
     reported_if_interrupted,
 )
-from capture_sim.commands.recordings import Reading
+from capture_sim.commands.recordings import RecordingReader
 from capture_sim.errors import RecordingError
 from capture_sim.run.run import Run
 from capture_sim.viewing.canvas import save
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
             raise RecordingError(f"--save {options.save}: must end in .rrd")
         prepare_folder(options.save.parent)
     with reported_if_interrupted("nothing is written"):
-        runs = Reading.of(options).runs(options.runs)
+        runs = RecordingReader.of(options).runs(options.runs)
         if window is not None:
             # a run known from measurements alone cannot be simulated again
             runs = [resolved(run, window) if run.is_exact else run for run in runs]

@@ -7,7 +7,7 @@ the sensors went on.  Therefore the file itself is read again.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +40,8 @@ def checked_trial(path: Path) -> tuple[list[str], Run | None]:
 
     - the file exists, and can be read to its end;
     - no source has a gap between the release and the verdict, or, without a verdict, the end of the
-      file, see :data:`MIN_GAP` and :data:`LAST_PART`;
+      file, see :data:`MIN_GAP` and :data:`LAST_PART`; if all sources had stopped before the chaser
+      was held again, the gap ends there;
     - no rule of plausibility excludes a topic, but those that the trial waives;
     - the detector's verdict, made again from the file, is the recorded one, within 0.1 s.
     """
@@ -69,7 +70,9 @@ def _gaps(bag: Bag) -> Iterator[str]:
     if last is not None and last.state.is_verdict:
         end = last.t - last.time_in_state
     else:  # the detector's time stops with a source that stops
-        end = max((t[-1] for t in times.values() if t.size), default=0.0) - LAST_PART
+        end = max((t[-1] for t in times.values() if t.size), default=0.0)
+        silent = _silent_before_hold(bag, times)
+        end += silent if silent > MIN_GAP else -LAST_PART
     for topic, t in times.items():
         if len(t) < 2:
             yield f"{topic.name}: {len(t)} measurements"
@@ -89,6 +92,13 @@ def _stamps(bag: Bag, topic: Topic) -> np.ndarray:
         return stamps_of(bag.readable(topic)[0])
     stamps, values, _ = bag.measured(topic)
     return stamps[np.isfinite(values[:, : OF_A_BENCH[topic].size]).all(axis=1)]
+
+
+def _silent_before_hold(bag: Bag, sources: Iterable[Topic]) -> float:
+    """Return for how long no source was measured when the chaser was held again, s; 0 if not."""
+    logged = [bag.log_times(topic) for topic in sources]
+    last = max((int(times.max()) for times in logged if times.size), default=0)
+    return max(bag.held_again - last, 0) * 1e-9 if bag.held_again and last else 0.0
 
 
 def _other_verdict(run: Run) -> Iterator[str]:

@@ -14,7 +14,7 @@ import capture_sim
 from capture_sim.cli import main
 from capture_sim.commands import output, view
 from capture_sim.commands.inputs import load
-from capture_sim.commands.recordings import Reading
+from capture_sim.commands.recordings import RecordingReader
 from capture_sim.recording.offline import write_run
 from capture_sim.viewing.figures import pictures_of
 from capture_sim.viewing.source import distinct_names
@@ -66,7 +66,9 @@ def test_of_a_run_that_was_recorded_again_the_newest_is_shown(recorded, tmp_path
     for name, source in (("a", 0), ("a_2", 0), ("a_3", 1), ("b", 0)):
         shutil.copyfile(recorded[source], tmp_path / f"{name}.mcap")
         os.utime(tmp_path / f"{name}.mcap", (1.0, 1.0 if name == "a_2" else 2.0))
-    runs = Reading().runs([str(tmp_path / f"{name}.mcap") for name in ("a", "a_2", "a_3", "b")])
+    runs = RecordingReader().runs(
+        [str(tmp_path / f"{name}.mcap") for name in ("a", "a_2", "a_3", "b")]
+    )
     assert [run.name for run in runs] == ["a", "a_3", "b"]
     assert "a_2.mcap: left out" in capsys.readouterr().out
 

@@ -8,15 +8,26 @@ from capture_sim.messages.topics import HOLD
 from capture_sim.nodes.base.endpoints import TRANSIENT_LOCAL
 from tests.nodes.bench_client import wait_until
 
+#: Loads a node, whose DDS begins once a file is there: a busy machine's node loads for long.
+LATER = """
+import time
+from pathlib import Path
+while not Path({!r}).exists():
+    time.sleep(0.01)
+"""
+
 
 def test_a_second_publisher_refuses_and_aborts(start, client, tmp_path):
     session = Session(start, client, tmp_path)
+    begun = tmp_path / "begun"
+    other = start(
+        "launcher", LATER.format(str(begun)), actuator="output", scene="tilt_0", __node="lab2"
+    )
     with session.bench(is_disturbed=False, pace=1.0):
         # a launcher of another bench whose hold is remapped to this one's, in flight
         goal = session.goal(0.0)
         goal.await_phase(RunTrial.Feedback.APPROACH)
-        remap = {"__node": "lab2"}
-        other = start("launcher", actuator="output", scene="tilt_0", **remap)
+        begun.touch()
         status, result = goal.result()
         assert status == ABORTED
         assert "launcher/hold: published by /launcher and by /lab2: must be one" in result.reason

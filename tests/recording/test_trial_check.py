@@ -101,6 +101,24 @@ def test_without_a_verdict_a_hole_counts_up_to_the_end(topic, length, last_statu
     assert any(line.startswith(f"{topic[1:]}: no measurement from 1.2") for line in lines), lines
 
 
+@pytest.mark.parametrize("held, is_hole", [(1.15, False), (1.6, True), (8.0, True)])
+def test_all_sources_that_stop_at_once_leave_a_hole_up_to_the_hold(held, is_hole, whole, tmp_path):
+    """As when the cameras' network fails: nothing in the file went on but the launcher."""
+    launcher = LauncherTelemetry(Messages(), announced()[1])
+    launcher.zero_ns = dirty.RELEASE
+    abort = launcher.command(held, LaunchAction.ABORT, plan_launch(SCENE))
+
+    def stopped(records):
+        until = [r for r in records if r.t < 1.1 and not r.topic.startswith("/capture")]
+        return [*until, record(abort, dirty.RELEASE + round(held * 1e9))]
+
+    lines = problems(whole, tmp_path, stopped)
+    for topic in (dirty.CHASER, dirty.TARGET, dirty.JOINTS):
+        hole = f"{topic[1:]}: no measurement from 1."
+        assert any(line.startswith(hole) for line in lines) is is_hole, lines
+    assert not is_hole or any(f"to {held:.1f}" in line for line in lines), lines
+
+
 def test_a_hole_before_the_release_or_after_the_verdict_is_none(whole, tmp_path):
     end = max(r.t for r in whole if r.topic == "/capture/status")
     kept = [r for r in whole if not (-0.5 < r.t < -0.1 or r.t > end + 0.3)]
