@@ -1,7 +1,6 @@
 """What recorder and detector make of a rig's drivers: their QoS, stamps, gaps, silence."""
 
 import threading
-import time
 from contextlib import contextmanager
 
 from capture_sim.action import RunTrial
@@ -12,7 +11,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
 from capture_sim.messages.convert import HINGE_JOINT, SLIDE_JOINT
-from capture_sim.messages.topics import CAPTURE_STATUS
+from capture_sim.messages.topics import CAPTURE_STATUS, ROLL
 from capture_sim.nodes.base.endpoints import TRANSIENT_LOCAL
 from capture_sim.recording.bag import read_bag
 from tests.nodes.bench_client import Client, wait_until
@@ -63,14 +62,20 @@ def test_best_effort_driver_is_read_and_an_empty_topic_is_named_first(start, tmp
             statuses.update((status.name, status) for status in message.status)
 
         client.subscribe("diagnostic_msgs/msg/DiagnosticArray", "diagnostics", take)
+        parts = client.listen(ROLL)
         with drivers(client, cell__raw=best_effort, load_cell__wrench=best_effort) as stamps:
             recorder = start("recorder", out=tmp_path, topics=topics)
             # the topics of others are looked for twice a second
             wait_until(lambda: recorder.text.count("read best effort") == 3)
             wait_until(lambda: "recorder: /launcher/hold" in statuses)
             start("launcher", actuator="none", scene="tilt_0").wait_for("ready")
-            # a trial counts on the recorders that its launcher has discovered: announced each 0.5 s
-            time.sleep(2.0)
+            # a trial counts on the recorders that its launcher has heard
+            wait_until(
+                lambda: any(
+                    part.role == "launcher" and any("/recorder#" in each for each in part.heard)
+                    for part in parts
+                )
+            )
             goal = Goal(actions_of(client))
             goal.await_phase(RunTrial.Feedback.APPROACH)
             begin = len(stamps)
