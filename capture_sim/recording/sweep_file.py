@@ -54,8 +54,6 @@ def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -
     made_by["written"] = len(table)
     units = table.attrs["units"]
     description = _description_of(path)
-    # a kill before the end leaves no description of another table
-    description.unlink(missing_ok=True)
     with whole_file(path) as part:
         if path.suffix == ".parquet":
             table = table.copy(deep=False)
@@ -64,6 +62,7 @@ def write_sweep(table: pandas.DataFrame, path: Path, about: Mapping[str, Any]) -
             return path
         heads = {name: head_of(name, unit) for name, unit in units.items()}
         table.rename(columns=heads).to_csv(part)
+        description.unlink(missing_ok=True)  # a kill leaves none of another table
     with whole_file(description) as part:
         part.write_text(json.dumps(made_by, indent=2) + "\n", encoding="utf-8")
     return path

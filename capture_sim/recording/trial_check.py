@@ -14,7 +14,7 @@ import numpy as np
 
 from capture_sim.errors import CaptureSimError
 from capture_sim.messages.measurements import OF_A_BENCH
-from capture_sim.messages.topics import CAPTURE_STATUS, LOAD_CELL, Topic
+from capture_sim.messages.topics import CAPTURE_STATUS, HOLD, LAUNCH_COMMAND, LOAD_CELL, Topic
 from capture_sim.plausibility.rules import Grade
 from capture_sim.recording.bag import Bag, read_bag
 from capture_sim.recording.clock import stamps_of
@@ -95,10 +95,18 @@ def _stamps(bag: Bag, topic: Topic) -> np.ndarray:
 
 
 def _silent_before_hold(bag: Bag, sources: Iterable[Topic]) -> float:
-    """Return for how long no source was measured when the chaser was held again, s; 0 if not."""
-    logged = [bag.log_times(topic) for topic in sources]
-    last = max((int(times.max()) for times in logged if times.size), default=0)
-    return max(bag.held_again - last, 0) * 1e-9 if bag.held_again and last else 0.0
+    """Return for how long no source was measured when a recorded message held the chaser, s.
+
+    It is 0 if a source was measured later, or if no message after the release held the chaser.
+    """
+
+    def last(topics: Iterable[str | Topic]) -> int:
+        ends = [int(times[-1]) for topic in topics if (times := bag.log_times(topic)).size]
+        return max(ends, default=0)
+
+    # the launcher's silence counts as a hold too, but may be the end of the file
+    held = min(bag.held_again or 0, last((HOLD, LAUNCH_COMMAND.absolute_name)))
+    return max(held - last(sources), 0) * 1e-9
 
 
 def _other_verdict(run: Run) -> Iterator[str]:

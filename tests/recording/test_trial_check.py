@@ -7,6 +7,7 @@ import pytest
 
 from capture_sim.cli import main
 from capture_sim.messages.convert import LaunchAction, Messages, RunDescription
+from capture_sim.messages.definitions import blank, typestore
 from capture_sim.messages.telemetry import DetectorTelemetry, LauncherTelemetry
 from capture_sim.messages.topics import CAPTURE_DETECTOR, LAUNCHER, RUN_INFO, RunSource
 from capture_sim.recording.read import read_run
@@ -117,6 +118,15 @@ def test_all_sources_that_stop_at_once_leave_a_hole_up_to_the_hold(held, is_hole
         hole = f"{topic[1:]}: no measurement from 1."
         assert any(line.startswith(hole) for line in lines) is is_hole, lines
     assert not is_hole or any(f"to {held:.1f}" in line for line in lines), lines
+
+
+def test_a_file_that_ends_in_flight_has_no_hole_at_its_end(whole, tmp_path):
+    """The launcher's silence holds the chaser, 0.5 s later: a time that is not in the file."""
+    kind = "std_msgs/msg/Bool"
+    false = bytes(typestore().serialize_cdr(blank(kind), kind))
+    cut = [r for r in whole if r.t < 1.1 and not r.topic.startswith("/capture")]
+    cut.append(dirty.Record("/launcher/hold", kind, cut[-1].log_time, false))
+    assert not any("no measurement" in line for line in problems(cut, tmp_path))
 
 
 def test_a_hole_before_the_release_or_after_the_verdict_is_none(whole, tmp_path):
