@@ -40,7 +40,7 @@ class RecordingReader:
 
     @classmethod
     def of(cls, options: argparse.Namespace) -> RecordingReader:
-        """Return what the options of a command say; a command may lack some of them."""
+        """Return the reader that a command's options describe; it may lack some of them."""
         given = {each.name for each in fields(cls)} & set(vars(options))
         return cls(**{name: getattr(options, name) for name in given})
 

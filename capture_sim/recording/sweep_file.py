@@ -91,7 +91,7 @@ def is_complete(path: Path, about: Mapping[str, Any]) -> bool:
 
 
 def _description_of(path: Path) -> Path:
-    """Return the path of what made a CSV table."""
+    """Return the path of the JSON file that describes how a CSV table was made."""
     return path.with_name(f"{path.stem}_made_by.json")
 
 

@@ -61,17 +61,14 @@ def checked_trial(path: Path) -> tuple[list[str], Run | None]:
 
 def _gaps(bag: Bag) -> Iterator[str]:
     """Yield a line for each gap in a source between the release and the verdict."""
-    times = {
-        topic: np.unique(bag.clock.since(_stamps(bag, topic)))
-        for topic in (*OF_A_BENCH, LOAD_CELL)
-        if bag.holds(topic)
-    }
+    measured = {t: _measured(bag, t) for t in (*OF_A_BENCH, LOAD_CELL) if bag.holds(t)}
+    times = {topic: np.unique(bag.clock.since(stamps)) for topic, (stamps, _) in measured.items()}
     last = bag.statuses[-1] if bag.holds(CAPTURE_STATUS) else None
     if last is not None and last.state.is_verdict:
         end = last.t - last.time_in_state
     else:  # the detector's time stops with a source that stops
         end = max((t[-1] for t in times.values() if t.size), default=0.0)
-        silent = _silent_before_hold(bag, times)
+        silent = _silent_before_hold(bag, [logged for _, logged in measured.values()])
         end += silent if silent > MIN_GAP else -LAST_PART
     for topic, t in times.items():
         if len(t) < 2:
@@ -86,27 +83,29 @@ def _gaps(bag: Bag) -> Iterator[str]:
                 )
 
 
-def _stamps(bag: Bag, topic: Topic) -> np.ndarray:
-    """Return the stamps (n,), ns, of the measurements of a topic."""
+def _measured(bag: Bag, topic: Topic) -> tuple[np.ndarray, np.ndarray]:
+    """Return stamps and log times, each (n,), ns, of the measurements of a topic."""
     if topic is LOAD_CELL:
-        return stamps_of(bag.readable(topic)[0])
-    stamps, values, _ = bag.measured(topic)
-    return stamps[np.isfinite(values[:, : OF_A_BENCH[topic].size]).all(axis=1)]
+        columns, logged = bag.readable(topic)
+        return stamps_of(columns), logged
+    stamps, values, logged = bag.measured(topic)
+    is_finite = np.isfinite(values[:, : OF_A_BENCH[topic].size]).all(axis=1)
+    return stamps[is_finite], logged[is_finite]
 
 
-def _silent_before_hold(bag: Bag, sources: Iterable[Topic]) -> float:
-    """Return for how long no source was measured when a recorded message held the chaser, s.
+def _silent_before_hold(bag: Bag, logged: Iterable[np.ndarray]) -> float:
+    """Return the time from the last measurement to the message that held the chaser again, s.
 
-    It is 0 if a source was measured later, or if no message after the release held the chaser.
+    ``logged`` are the log times, ns, of each source.  The time is 0 if a measurement came later, or
+    if no recorded message held the chaser after its release.
     """
 
-    def last(topics: Iterable[str | Topic]) -> int:
-        ends = [int(times[-1]) for topic in topics if (times := bag.log_times(topic)).size]
-        return max(ends, default=0)
+    def last(log_times: Iterable[np.ndarray]) -> int:
+        return max((int(each.max()) for each in log_times if each.size), default=0)
 
     # the launcher's silence counts as a hold too, but may be the end of the file
-    held = min(bag.held_again or 0, last((HOLD, LAUNCH_COMMAND.absolute_name)))
-    return max(held - last(sources), 0) * 1e-9
+    told = last(bag.log_times(name) for name in (HOLD, LAUNCH_COMMAND.absolute_name))
+    return max(min(bag.held_again or 0, told) - last(logged), 0) * 1e-9
 
 
 def _other_verdict(run: Run) -> Iterator[str]:

@@ -102,16 +102,21 @@ def test_without_a_verdict_a_hole_counts_up_to_the_end(topic, length, last_statu
     assert any(line.startswith(f"{topic[1:]}: no measurement from 1.2") for line in lines), lines
 
 
+@pytest.mark.parametrize("is_nan", [False, True])
 @pytest.mark.parametrize("held, is_hole", [(1.15, False), (1.6, True), (8.0, True)])
-def test_all_sources_that_stop_at_once_leave_a_hole_up_to_the_hold(held, is_hole, whole, tmp_path):
-    """As when the cameras' network fails: nothing in the file went on but the launcher."""
+def test_all_sources_that_stop_at_once_leave_a_hole_up_to_the_hold(
+    held, is_hole, is_nan, whole, tmp_path
+):
+    """As when the network fails, or when encoders send on without a value."""
     launcher = LauncherTelemetry(Messages(), announced()[1])
     launcher.zero_ns = dirty.RELEASE
     abort = launcher.command(held, LaunchAction.ABORT, plan_launch(SCENE))
 
     def stopped(records):
         until = [r for r in records if r.t < 1.1 and not r.topic.startswith("/capture")]
-        return [*until, record(abort, dirty.RELEASE + round(held * 1e9))]
+        void = [r for r in dirty.CHANGES["joints_nan"](records) if 1.1 <= r.t < 9.0]
+        void = [r for r in void if is_nan and r.topic == dirty.JOINTS]
+        return [*until, *void, record(abort, dirty.RELEASE + round(held * 1e9))]
 
     lines = problems(whole, tmp_path, stopped)
     for topic in (dirty.CHASER, dirty.TARGET, dirty.JOINTS):
